@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+NAME = "tms_model"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={NAME: ["py.typed", "bicycles/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    python_requires=">=3.10,<3.14",
+    install_requires=["setuptools", "matplotlib>=3.6", "numpy>=1.26", "PyYAML>=6", "scipy>=1.11"],
+    zip_safe=False,
+    maintainer="TMS maintainers",
+    maintainer_email="maintainers@example.org",
+    description="The Whipple bicycle: parameters, matrices, stability, response, ideal IMU kinematics.",
+    license="Apache-2.0",
+)

@@ -1,0 +1,36 @@
+"""The bicycle: parameters -> matrices -> stability, response, ideal IMU kinematics, frames. No ROS.
+
+Conventions of the whole project, told here and in docs/conventions.md:
+
+- SI units and radians everywhere; degrees only in YAML keys that end in `_deg`.
+- Model axes are SAE: x forward, y right, z down, origin at the rear wheel contact. Lean, steer and yaw to the right are
+  positive. `tms_model.frames` is the one place that turns them into REP-103 axes and back.
+- The state order is lean, steer, lean_rate, steer_rate (`tms_model.response.STATE`).
+- Arrays are float64; a run's times are float seconds since its start, integer nanoseconds at every border.
+"""
+
+from tms_model.bicycle import Bicycle, assemble
+from tms_model.catalogue import bicycle_names, load_bicycle
+from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.response import LinearSystem, discretise, linear_system, response, yaw_rate
+from tms_model.stability import Stability, characteristic_polynomial, eigenvalues, stability
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bicycle",
+    "LinearSystem",
+    "ParameterError",
+    "Stability",
+    "WhippleParameters",
+    "assemble",
+    "bicycle_names",
+    "characteristic_polynomial",
+    "discretise",
+    "eigenvalues",
+    "linear_system",
+    "load_bicycle",
+    "response",
+    "stability",
+    "yaw_rate",
+]

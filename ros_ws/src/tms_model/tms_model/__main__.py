@@ -1,0 +1,151 @@
+"""Command line of the bicycle model: python -m tms_model, or ./tms model."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tms_model.bicycle import Bicycle
+from tms_model.catalogue import bicycle_names, load_bicycle
+from tms_model.command_line import Parser, print_json, run
+from tms_model.parameters import ParameterError
+from tms_model.response import LEAN_RATE, STATE, linear_system, response, yaw_rate
+from tms_model.stability import eigenvalues, stability
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parse the arguments and answer. Raises ParameterError."""
+    arguments = _parser().parse_args(argv)
+    if arguments.command == "list":
+        _list(arguments)
+    else:
+        COMMANDS[arguments.command](load_bicycle(arguments.bicycle), arguments)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="tms model", description="The bicycle: parameters, matrices, stability, response.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    help_texts = {
+        "list": "bicycles of the catalogue",
+        "show": "parameters of a bicycle and where they come from",
+        "matrices": "M, C1, K0, K2 of the equations of motion (3.1)",
+        "eigenvalues": "eigenvalues at a speed",
+        "stability": "stable speed ranges, weave and capsize speed",
+        "response": "free response to an initial lean rate",
+        "plot": "figure of the eigenvalues against speed",
+    }
+    subparsers = {name: commands.add_parser(name, help=text, description=text) for name, text in help_texts.items()}
+    for name, subparser in subparsers.items():
+        if name != "list":
+            subparser.add_argument("bicycle", help="name in the catalogue, or a .yaml file")
+        if name == "plot":
+            subparser.add_argument("-o", "--output", required=True, help="PNG, SVG or PDF to write")
+        else:
+            subparser.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+    for name in ("eigenvalues", "response"):
+        subparsers[name].add_argument("--speed", type=float, required=True, help="forward speed [m/s]")
+    one = subparsers["response"]
+    one.add_argument("--lean-rate", type=float, required=True, help="initial lean rate [rad/s]")
+    one.add_argument("--duration", type=float, default=4.0, help="[s] (default 4)")
+    one.add_argument("--step", type=float, default=0.01, help="[s] (default 0.01)")
+    one.add_argument("--gain", type=float, default=0.0, help="steer torque per lean rate [N m s/rad] (default 0)")
+    return parser
+
+
+def _list(arguments: argparse.Namespace) -> None:
+    bicycles = [load_bicycle(name) for name in bicycle_names()]
+    if arguments.json:
+        return print_json({"bicycles": [{"name": b.name, "description": b.description} for b in bicycles]})
+    for bicycle in bicycles:
+        print(f"{bicycle.name:16} {bicycle.description}")
+
+
+def _show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    text = {key: getattr(bicycle, key) for key in ("description", "source", "uncertainty")}
+    if arguments.json:
+        return print_json({"bicycle": bicycle.name, **text, "parameters": bicycle.numbers})
+    for key, value in text.items():
+        print(f"{key}: {value}")
+    for name, value in bicycle.numbers.items():
+        print(f"  {name:28} {value:.9g}")
+
+
+def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    if arguments.json:
+        return print_json({"bicycle": bicycle.name, **{k: m.tolist() for k, m in bicycle.canonical.items()}})
+    for letter, matrix in bicycle.canonical.items():
+        print(f"{letter:3} [[{matrix[0, 0]:.9g}, {matrix[0, 1]:.9g}], [{matrix[1, 0]:.9g}, {matrix[1, 1]:.9g}]]")
+
+
+def _eigenvalues(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    if not (np.isfinite(arguments.speed) and arguments.speed >= 0.0):
+        raise ParameterError(f"speed: expected zero or a positive number of m/s, found {arguments.speed:g}")
+    roots = eigenvalues(bicycle, arguments.speed)
+    if arguments.json:
+        values = [{"re": float(root.real), "im": float(root.imag)} for root in roots]
+        return print_json({"bicycle": bicycle.name, "speed": arguments.speed, "eigenvalues": values})
+    for root in roots:
+        print(f"{root.real:+.9f} {root.imag:+.9f}i 1/s")
+
+
+def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    answer = stability(bicycle)
+    if arguments.json:
+        ranges = [[low, high] for low, high in answer.stable_speed_ranges]
+        return print_json(
+            {
+                "bicycle": bicycle.name,
+                "stable_speed_ranges": ranges,
+                "weave_speed": answer.weave_speed,
+                "capsize_speed": answer.capsize_speed,
+            }
+        )
+    if not answer.stable_speed_ranges:
+        print(f"{bicycle.name} is not self-stable at any speed")
+    for low, high in answer.stable_speed_ranges:
+        print(f"{bicycle.name} is self-stable from {low:.7f} m/s " + (f"to {high:.7f} m/s" if np.isfinite(high) else "up"))
+
+
+def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    if not (arguments.step > 0.0 and arguments.duration >= arguments.step and arguments.duration / arguments.step <= 1e6):
+        raise ParameterError(
+            f"duration and step: expected a positive step, and 1 to 1000000 of them, found {arguments.duration:g} s"
+            f" by {arguments.step:g} s"
+        )
+    if not np.isfinite(arguments.lean_rate):
+        raise ParameterError(f"lean-rate: expected a finite number of rad/s, found {arguments.lean_rate:g}")
+    system = linear_system(bicycle, arguments.speed, arguments.gain)
+    times = np.arange(round(arguments.duration / arguments.step) + 1) * arguments.step
+    initial = np.zeros(4)
+    initial[LEAN_RATE] = arguments.lean_rate
+    states = response(system, initial, times)
+    columns = {"time": times, **dict(zip(STATE, states.T, strict=True)), "yaw_rate": yaw_rate(system, states)}
+    if arguments.json:
+        series = {name: values.tolist() for name, values in columns.items()}
+        return print_json({"bicycle": bicycle.name, "speed": arguments.speed, **series})
+    print(" ".join(f"{name:>12}" for name in columns))
+    for row in zip(*columns.values(), strict=True):
+        print(" ".join(f"{value:12.6f}" for value in row))
+
+
+def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    from tms_model.plot import eigenvalue_figure, save_figure  # matplotlib takes a second to import: only who plots pays for it
+
+    save_figure(eigenvalue_figure(bicycle), Path(arguments.output))
+
+
+COMMANDS = {
+    "show": _show,
+    "matrices": _matrices,
+    "eigenvalues": _eigenvalues,
+    "stability": _stability,
+    "response": _response,
+    "plot": _plot,
+}
+
+if __name__ == "__main__":
+    sys.exit(run(main, (ParameterError,)))

@@ -1,0 +1,110 @@
+"""The catalogue of bicycles: one YAML file each, in the folder `bicycles/`, or any file of the same form.
+
+A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters) or `geometry` and
+`matrices`. Keys that end in `_deg` are degrees, everything else SI units. Unknown and missing keys are errors.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from tms_model.bicycle import Array, Bicycle, assemble
+from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+
+FOLDER = Path(__file__).parent / "bicycles"
+_TEXT = ("description", "source", "uncertainty")
+_GEOMETRY = ("wheelbase", "trail", "steer_axis_tilt", "gravity")
+
+
+def bicycle_names() -> list[str]:
+    """Names of the shipped bicycles, sorted."""
+    return sorted(path.stem for path in FOLDER.glob("*.yaml"))
+
+
+def load_bicycle(name: str) -> Bicycle:
+    """Bicycle by catalogue name, or from a YAML file when `name` ends in .yaml. Raises ParameterError."""
+    path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
+    if path.parent == FOLDER and name not in bicycle_names():
+        raise ParameterError(
+            f"unknown bicycle {name!r}: expected one of {', '.join(bicycle_names())}, or the path of a .yaml file"
+        )
+    return _bicycle(path.stem, read_yaml(path), str(path))
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML mapping from a file, by the safe loader. Raises ParameterError when it can't be read or is no mapping."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: expected a readable YAML file, found: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: expected YAML, found: {' '.join(str(error).split())}") from error
+    if not isinstance(document, dict):
+        raise ParameterError(f"{path}: expected a mapping of keys, found {type(document).__name__}")
+    return document
+
+
+def check_keys(mapping: Any, required: tuple[str, ...], where: str, optional: tuple[str, ...] = ()) -> None:
+    """Raise ParameterError unless `mapping` is a dictionary with all `required` and only `required` or `optional` keys."""
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{where}: expected keys {', '.join(required)}, found {type(mapping).__name__}")
+    missing = [key for key in required if key not in mapping]
+    unknown = [str(key) for key in mapping if key not in required + optional]
+    if missing:
+        raise ParameterError(f"{where}: missing {', '.join(missing)}; expected {', '.join(required)}")
+    if unknown:
+        raise ParameterError(f"{where}: unknown {', '.join(unknown)}; expected {', '.join(required + optional)}")
+
+
+def number(value: Any, where: str) -> float:
+    """`value` as a float. Raises ParameterError for anything that is not a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ParameterError(f"{where}: expected a finite number, found {value!r}")
+    return float(value)
+
+
+def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
+    if "matrices" in document:
+        check_keys(document, (*_TEXT, "geometry", "matrices"), where)
+    else:
+        check_keys(document, (*_TEXT, "parameters"), where)
+    text = {key: str(document[key]) for key in _TEXT}
+    if "parameters" in document:
+        values = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
+        return assemble(name, WhippleParameters(**values), **text)
+    check_keys(document["matrices"], ("M", "C1", "K0", "K2"), f"{where}: matrices")
+    matrices = {key: _matrix(value, f"{where}: {key}") for key, value in document["matrices"].items()}
+    return Bicycle(
+        name=name,
+        mass=matrices["M"],
+        damping=matrices["C1"],
+        stiffness0=matrices["K0"],
+        stiffness2=matrices["K2"],
+        **_numbers(document["geometry"], _GEOMETRY, f"{where}: geometry"),
+        **text,
+    )
+
+
+def _numbers(mapping: Any, names: tuple[str, ...], where: str) -> dict[str, float]:
+    keys = tuple(f"{name}_deg" if name == "steer_axis_tilt" else name for name in names)
+    check_keys(mapping, keys, where)
+    values = {key: number(mapping[key], f"{where}.{key}") for key in keys}
+    return {
+        name: math.radians(values[key]) if key.endswith("_deg") else values[key]
+        for name, key in zip(names, keys, strict=True)
+    }
+
+
+def _matrix(value: Any, where: str) -> Array:
+    try:
+        matrix = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (2, 2) or not np.isfinite(matrix).all():
+        raise ParameterError(f"{where}: expected a 2 x 2 list of finite numbers, found {value!r}")
+    return matrix

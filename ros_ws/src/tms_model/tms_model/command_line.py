@@ -1,0 +1,52 @@
+"""What all command lines share: one line on stderr and exit code 2 for bad input, one JSON document on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose errors are one line, with the command to type for help."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {' '.join(message.split())} (see '{self.prog} --help')\n")
+
+
+def run(
+    main: Callable[[Sequence[str] | None], None], bad_input: tuple[type[Exception], ...], argv: Sequence[str] | None = None
+) -> int:
+    """Run `main(argv)`; return the exit code: 0, or 2 after one line about the bad input. Defects keep their traceback."""
+    try:
+        main(argv)
+        sys.stdout.flush()
+    except bad_input as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; nothing half-written is left", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone, as in `... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    return 0
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """One JSON document on stdout. NaN and infinity, which JSON does not know, become null."""
+    print(json.dumps(_finite(document), indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,70 @@
+"""The one place where signs change: SAE model axes (x forward, y right, z down) and REP-103 (x forward, y left, z up).
+
+The two differ by half a turn about x. A vector keeps x and flips y and z; lean and lean rate (about x) keep their sign,
+steer, yaw and yaw rate (about z) flip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tms_model.bicycle import Array
+from tms_model.parameters import ParameterError
+
+_FLIP = np.array([1.0, -1.0, -1.0])
+
+
+def flip_axes(vectors: Array) -> Array:
+    """Vectors (..., 3) from SAE to REP-103 axes, or back: the change is its own inverse."""
+    return np.asarray(vectors) * _FLIP
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w (ROS order). Raises ParameterError unless it has unit length."""
+    q = np.asarray(quaternion, dtype=float)
+    if q.shape != (4,) or not abs(float(q @ q) - 1.0) < 1e-6:
+        raise ParameterError(f"orientation: expected a unit quaternion x, y, z, w, found {q.tolist()}")
+    x, y, z, w = q / np.sqrt(q @ q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Array:
+    """Quaternion x, y, z, w of REP-103 fixed-axis roll, pitch, yaw [rad]."""
+    cr, sr = np.cos(roll / 2), np.sin(roll / 2)
+    cp, sp = np.cos(pitch / 2), np.sin(pitch / 2)
+    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def imu_to_rear_frame(vectors: Array, orientation: Array) -> Array:
+    """Vectors (n, 3) in REP-103 axes of the imu frame -> SAE axes of the rear frame. NaN components stay NaN.
+
+    orientation: quaternion x, y, z, w of the imu frame in the rear frame (REP-103), as in tms_msgs/RunInfo.
+    """
+    return flip_axes(_rotate(vectors, rotation_matrix(orientation)))
+
+
+def rear_frame_to_imu(vectors: Array, orientation: Array) -> Array:
+    """Vectors (n, 3) in SAE axes of the rear frame -> REP-103 axes of the imu frame; inverse of imu_to_rear_frame."""
+    return _rotate(flip_axes(vectors), rotation_matrix(orientation).T)
+
+
+def _rotate(vectors: Array, rotation: Array) -> Array:
+    # An absent (NaN) component must spoil only the components it enters: 0 * NaN would spoil them all.
+    absent = np.isnan(vectors)
+    rotated = np.where(absent, 0.0, vectors) @ rotation.T
+    spoilt = (absent.astype(float) @ (np.abs(rotation.T) > 1e-12)) > 0
+    return np.where(spoilt, np.nan, rotated)

@@ -1,0 +1,96 @@
+"""Motion of the linearised bicycle at constant speed: state space, exact discretisation, response.
+
+The state order is written here, once: lean, steer, lean_rate, steer_rate.
+
+Reference: Kooijman et al. 2011, supplement Eqs. (3.1) and (10.2), doi 10.1126/science.1201959; C. F. Van Loan,
+"Computing integrals involving the matrix exponential", IEEE TAC 23 (1978), doi 10.1109/TAC.1978.1101743.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from tms_model.bicycle import Array, Bicycle
+from tms_model.parameters import ParameterError
+
+STATE = ("lean", "steer", "lean_rate", "steer_rate")  # [rad, rad, rad/s, rad/s]
+LEAN, STEER, LEAN_RATE, STEER_RATE = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """x' = a x + b T_steer and yaw rate = yaw x, x in the order of STATE."""
+
+    a: Array  # (4, 4)
+    b: Array  # (4,), per N m of steer torque
+    yaw: Array  # (4,), yaw rate per state, Eq. (10.2)
+    speed: float  # v [m/s]
+
+
+def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> Array:
+    """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s], with the steer torque T_steer = lean_rate_gain * lean rate.
+
+    lean_rate_gain in N m s/rad; positive steers into the fall.
+    """
+    stiffness = bicycle.gravity * bicycle.stiffness0 + speed**2 * bicycle.stiffness2
+    damping = speed * bicycle.damping
+    damping[1, 0] -= lean_rate_gain
+    return np.block(
+        [
+            [np.zeros((2, 2)), np.eye(2)],
+            [-np.linalg.solve(bicycle.mass, stiffness), -np.linalg.solve(bicycle.mass, damping)],
+        ]
+    )
+
+
+def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> LinearSystem:
+    """The bicycle at a constant speed [m/s], with optional lean-rate feedback on the steer torque [N m s/rad].
+
+    Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response to compare).
+    """
+    if not (math.isfinite(speed) and speed > 0.0):
+        raise ParameterError(f"speed: expected a positive number of m/s, found {speed:g}")
+    torque = np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])
+    projection = math.cos(bicycle.steer_axis_tilt) / bicycle.wheelbase
+    yaw = np.array([0.0, speed * projection, 0.0, bicycle.trail * projection])  # (10.2)
+    return LinearSystem(state_matrix(bicycle, speed, lean_rate_gain), torque, yaw, speed)
+
+
+def discretise(system: LinearSystem, step: float) -> tuple[Array, Array]:
+    """Exact transition over `step` [s]: x(t + step) = phi x(t) + gamma T with T held constant. Shapes (4, 4) and (4,).
+
+    Both blocks come from one matrix exponential (Van Loan).
+    """
+    augmented = np.zeros((5, 5))
+    augmented[:4, :4], augmented[:4, 4] = system.a, system.b
+    exponential = expm(augmented * step)
+    return exponential[:4, :4], exponential[:4, 4]
+
+
+def response(system: LinearSystem, initial: Array, times: Array, steer_torque: Array | None = None) -> Array:
+    """States at `times` [s] (n,), ascending and not negative, when `initial` holds at time zero.
+
+    initial: (4,) for one response, (4, m) for m at once. steer_torque: (n,) [N m], each value held until the next time (the
+    first from time zero on). Returns (n, 4) or (n, 4, m). Exact between the times, whatever their spacing.
+    """
+    states = np.empty((len(times), *initial.shape))
+    state = initial
+    torque = np.zeros(len(times)) if steer_torque is None else np.concatenate([steer_torque[:1], steer_torque[:-1]])
+    transitions: dict[float, tuple[Array, Array]] = {}
+    # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
+    for k, step in enumerate(np.round(np.diff(times, prepend=0.0), 9)):
+        if step not in transitions:
+            transitions[step] = discretise(system, float(step))
+        phi, gamma = transitions[step]
+        state = phi @ state + (gamma * torque[k]).reshape((4,) + (1,) * (initial.ndim - 1))
+        states[k] = state
+    return states
+
+
+def yaw_rate(system: LinearSystem, states: Array) -> Array:
+    """Yaw rate [rad/s], Eq. (10.2), of states (n, 4) or (n, 4, m); SAE sign, positive to the right."""
+    return np.tensordot(states, system.yaw, axes=([1], [0]))
