@@ -1,0 +1,87 @@
+"""The folder that a bag is written to: complete or not there at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from tms_bag.errors import RecordingError
+from tms_bag.metadata import FILE_NAME
+
+
+class Destination:
+    """A folder in the making. Written beside `path` and renamed at the end, unless `in_place`.
+
+    RecordingError, before anything is touched, if there is something at `path` already; with `overwrite` only
+    if that is something else than a bag.
+    """
+
+    def __init__(self, path: Path, overwrite: bool = False, in_place: bool = False) -> None:
+        if overwrite and in_place:
+            raise ValueError("a bag that is written in place can't replace another one")
+        self.path = Path.cwd() / path
+        self._replaces = os.path.lexists(self.path)
+        if self._replaces:
+            _check_replaceable(path, self.path, overwrite)
+        self._folder = self.path if in_place else self.path.with_name(f".{self.name}.{os.getpid()}.partial")
+        self._made_parents: list[Path] = []
+
+    @property
+    def name(self) -> str:
+        """Last part of the path; the files of the bag are named after it."""
+        return self.path.name
+
+    def create(self) -> Path:
+        """Make the folder to write into. RecordingError if the system doesn't let us."""
+        missing = [parent for parent in self.path.parents if not parent.exists()]
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._made_parents = missing
+            self._folder.mkdir()
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: can't make this folder ({error.strerror}); choose another place for the bag"
+            ) from error
+        return self._folder
+
+    def keep(self) -> None:
+        """Move the finished folder to its place."""
+        if self._folder == self.path:
+            return
+        old = self.path.with_name(f".{self.name}.{os.getpid()}.replaced")
+        if self._replaces:
+            self.path.rename(old)
+        try:
+            self._folder.rename(self.path)
+        except OSError as error:
+            if self._replaces:
+                old.rename(self.path)
+            self.discard()
+            raise RecordingError(
+                f"{self.path}: something else was put there while the bag was written ({error.strerror});"
+                " run it again"
+            ) from error
+        if self._replaces:
+            shutil.rmtree(old, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Remove what was made."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        for parent in self._made_parents:
+            try:
+                parent.rmdir()
+            except OSError:  # somebody else put something there
+                return
+
+
+def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
+    if not overwrite:
+        raise RecordingError(f"{given}: exists already; choose another name, or say --force to replace a bag")
+    entries = sorted(path.iterdir()) if path.is_dir() and not path.is_symlink() else [path]
+    strange = [entry.name for entry in entries if entry.name != FILE_NAME and entry.suffix != ".mcap"]
+    if strange or not path.is_dir():
+        found = ", ".join(strange[:3]) if path.is_dir() else "a file"
+        raise RecordingError(
+            f"{given}: expected a bag to replace, found {found}; remove it yourself or choose another name"
+        )

@@ -1,0 +1,245 @@
+"""What is where in an MCAP file: from its summary, or by going through the file where there is none.
+
+A file that was closed properly ends with a summary. An unfinished one (its recorder was killed, its disk was
+full) or a damaged one is read up to its last complete chunk; damaged chunks before that are left out and
+counted.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Channel as ChannelRecord
+from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
+
+from tms_bag import frames
+from tms_bag.channel import Channel, stored_channel
+from tms_bag.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
+from tms_bag.metadata import custom_data_of_record
+
+_FOOTER_SIZE = HEADER_SIZE + 20  # [bytes]
+_LOOSE_RUN = 2**22  # [bytes] messages outside chunks are read in portions of this size
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of the file that holds messages: a chunk, or a run of records with messages outside chunks."""
+
+    frame: Frame  # the chunk record; for loose messages the bytes of the run
+    start_ns: int  # earliest log time
+    end_ns: int  # latest log time
+    loose: bool
+
+
+@dataclass
+class FileIndex:
+    """Contents of one MCAP file."""
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)  # messages by channel
+    spans: list[Span] = field(default_factory=list)  # in file order
+    custom_data: dict[str, str] = field(default_factory=dict)
+    complete: bool = False  # closed properly
+    damaged_chunks: int = 0
+    unread_bytes: int = 0  # at the end, where no complete record stands any more
+
+    @property
+    def time_range(self) -> tuple[int, int] | None:
+        """Earliest and latest log time [ns], None without messages."""
+        if not self.spans:
+            return None
+        return min(span.start_ns for span in self.spans), max(span.end_ns for span in self.spans)
+
+
+def index_file(file: BinaryIO, size: int) -> FileIndex:
+    """Index of a file that starts with MCAP's magic bytes, by the quickest way that its state allows."""
+    try:
+        index = _from_summary(file, size)
+    except DAMAGE:
+        index = None
+    return index if index else scan(file, size)
+
+
+def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
+    """Index from the summary; None if there is none, or none that tells everything."""
+    footer_at = size - _FOOTER_SIZE - len(MAGIC)
+    if footer_at < len(MAGIC):
+        return None
+    file.seek(footer_at)
+    tail = file.read()
+    if tail[-len(MAGIC) :] != MAGIC or tail[0] != Opcode.FOOTER:
+        return None
+    footer = Footer.read(frames.stream_of(tail[HEADER_SIZE : -len(MAGIC)]))
+    if (
+        not len(MAGIC) <= footer.summary_start < footer_at
+        or footer_at - footer.summary_start > frames.LARGEST_CHUNK
+    ):
+        return None
+    file.seek(footer.summary_start)
+    summary = file.read(footer_at - footer.summary_start)
+    checked = zlib.crc32(tail[: HEADER_SIZE + 16], zlib.crc32(summary))
+    if footer.summary_crc not in (0, checked):
+        return None
+    builder = _Builder(file)
+    statistics: list[Statistics] = []
+    for frame in frames.frames_in(summary):
+        content = summary[frame.start : frame.stop]
+        if frame.opcode == Opcode.STATISTICS:
+            statistics.append(Statistics.read(frames.stream_of(content)))
+        elif frame.opcode == Opcode.CHUNK_INDEX:
+            builder.add_chunk_index(ChunkIndex.read(frames.stream_of(content)), size)
+        elif frame.opcode == Opcode.METADATA_INDEX:
+            entry = MetadataIndex.read(frames.stream_of(content))
+            builder.add_metadata(_record_at(file, entry.offset, size, Opcode.METADATA))
+        else:
+            builder.add_definition(frame.opcode, content)
+    return builder.index_with(statistics[0]) if len(statistics) == 1 else None
+
+
+def scan(file: BinaryIO, size: int) -> FileIndex:
+    """Index by going through the whole file."""
+    builder = _Builder(file)
+    end, last_opcode = len(MAGIC), 0
+    for frame in frames.frames_of_file(file, len(MAGIC), size):
+        end, last_opcode = frame.stop, frame.opcode
+        try:
+            builder.add_record(frame)
+        except DAMAGE:
+            builder.index.damaged_chunks += 1
+        if frame.opcode == Opcode.FOOTER:
+            break
+    builder.end_loose_run()
+    file.seek(end)
+    closed = last_opcode == Opcode.FOOTER and file.read(len(MAGIC) + 1) == MAGIC
+    index = builder.index
+    index.unread_bytes = 0 if closed else size - end
+    index.complete = closed and index.damaged_chunks == 0
+    return index
+
+
+def _record_at(file: BinaryIO, offset: int, size: int, opcode: Opcode) -> bytes:
+    """Content of the record at a place. ValueError if there is no such record."""
+    for frame in frames.frames_of_file(file, offset, size):
+        if frame.opcode == opcode:
+            return frames.content_of(file, frame)
+        break
+    raise ValueError(f"no {opcode.name} record at byte {offset}")
+
+
+class _Builder:
+    """Collects an index record by record."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.index = FileIndex()
+        self._file = file
+        self._schemas: dict[int, Schema] = {}
+        self._chunk_count = 0
+        self._loose: list[int] = []  # start, stop, earliest, latest of the current run
+
+    def add_record(self, frame: Frame) -> None:
+        """A record of the data section; one of DAMAGE if it can't be read."""
+        if frame.opcode == Opcode.MESSAGE:
+            self._add_loose_message(frame)
+            return
+        if frame.opcode == Opcode.CHUNK:
+            self._add_chunk(frame)
+        elif frame.opcode == Opcode.METADATA:
+            self.add_metadata(frames.content_of(self._file, frame))
+        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self.add_definition(frame.opcode, frames.content_of(self._file, frame))
+
+    def add_definition(self, opcode: int, content: bytes) -> None:
+        """A schema or a channel; anything else is left alone."""
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(frames.stream_of(content))
+            self._schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            record = ChannelRecord.read(frames.stream_of(content))
+            schema = self._schemas.get(record.schema_id) or Schema(id=0, data=b"", encoding="", name="")
+            channel = stored_channel(
+                record.topic,
+                schema.name,
+                record.metadata,
+                schema.data,
+                schema.encoding,
+                record.message_encoding,
+            )
+            self.index.channels.setdefault(record.id, channel)
+
+    def add_metadata(self, content: bytes) -> None:
+        """A metadata record; of those of rosbag2 the last one counts."""
+        record = Metadata.read(frames.stream_of(content))
+        if record.name == "rosbag2":
+            self.index.custom_data = custom_data_of_record(record.metadata.get("serialized_metadata", ""))
+
+    def add_chunk_index(self, entry: ChunkIndex, size: int) -> None:
+        """A chunk by its entry in the summary. ValueError if it isn't in the file."""
+        start, stop = entry.chunk_start_offset + HEADER_SIZE, entry.chunk_start_offset + entry.chunk_length
+        if not start <= stop <= size:
+            raise ValueError(f"chunk from byte {start} to {stop} of {size}")
+        self._chunk_count += 1
+        if entry.message_index_offsets or entry.message_end_time:  # else there is no message in it
+            frame = Frame(Opcode.CHUNK, start, stop)
+            self.index.spans.append(
+                Span(frame, entry.message_start_time, entry.message_end_time, loose=False)
+            )
+
+    def index_with(self, statistics: Statistics) -> FileIndex | None:
+        """The index with the counts of the summary; None if the summary leaves something out."""
+        counts = dict(statistics.channel_message_counts)
+        known = (
+            counts.keys() <= self.index.channels.keys() and sum(counts.values()) == statistics.message_count
+        )
+        indexed = statistics.chunk_count == self._chunk_count and (
+            self.index.spans or not statistics.message_count
+        )
+        if not (known and indexed):
+            return None
+        self.index.counts = counts
+        self.index.complete = True
+        return self.index
+
+    def _add_chunk(self, frame: Frame) -> None:
+        content = frames.chunk_content(frames.content_of(self._file, frame))
+        times, counts = [], dict(self.index.counts)
+        for opcode, start, stop in frames.frames_in(content):
+            if opcode == Opcode.MESSAGE:
+                message = frames.message_at(content, start, stop)
+                times.append(message.log_time)
+                counts[message.channel] = counts.get(message.channel, 0) + 1
+            else:
+                self.add_definition(opcode, content[start:stop])
+        self.index.counts = counts
+        if times:
+            self.index.spans.append(Span(frame, min(times), max(times), loose=False))
+
+    def _add_loose_message(self, frame: Frame) -> None:
+        head = frames.content_of(
+            self._file, Frame(frame.opcode, frame.start, min(frame.stop, frame.start + 22))
+        )
+        message = frames.message_at(head, 0, len(head))
+        self.index.counts[message.channel] = self.index.counts.get(message.channel, 0) + 1
+        start = frame.start - HEADER_SIZE
+        if self._loose and (self._loose[1] != start or frame.stop - self._loose[0] > _LOOSE_RUN):
+            self.end_loose_run()
+        if not self._loose:
+            self._loose = [start, frame.stop, message.log_time, message.log_time]
+        self._loose[1] = frame.stop
+        self._loose[2] = min(self._loose[2], message.log_time)
+        self._loose[3] = max(self._loose[3], message.log_time)
+
+    def end_loose_run(self) -> None:
+        """Close the current run of messages outside chunks."""
+        if self._loose:
+            start, stop, earliest, latest = self._loose
+            self.index.spans.append(Span(Frame(Opcode.MESSAGE, start, stop), earliest, latest, loose=True))
+        self._loose = []
+
+
+def span_messages(file: BinaryIO, span: Span) -> list[frames.Message]:
+    """Messages of a span, in the order in which they were written. One of DAMAGE if they can't be read."""
+    content = frames.content_of(file, span.frame)
+    return list(frames.messages_in(content if span.loose else frames.chunk_content(content)))

@@ -1,0 +1,147 @@
+"""A recording as arrays: the topics of this project found in a bag and decoded."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tms_bag import conversion, topics
+from tms_bag.errors import RecordingError
+from tms_bag.reader import BagReader
+from tms_bag.record import Record
+from tms_bag.samples import (
+    ImuSamples,
+    LeanYawSamples,
+    RunInfo,
+    Samples,
+    SpeedSamples,
+    StateSamples,
+    SteerTorqueSamples,
+    in_time_order,
+)
+
+FLAGS = {
+    topics.IMU: "--imu-topic",
+    topics.SPEED: "--speed-topic",
+    topics.STEER_TORQUE: "--steer-torque-topic",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a bag holds for the analysis of a run. Samples are sorted by time, each time occurs once."""
+
+    path: Path
+    imu: ImuSamples
+    speed: SpeedSamples | None
+    steer_torque: SteerTorqueSamples | None
+    lean_yaw: LeanYawSamples | None
+    state: StateSamples | None  # the truth, from the simulator only
+    run_info: RunInfo | None
+    start_ns: int  # [ns] log time of the bag's first message
+    custom_data: dict[str, str]
+    duplicates: int = 0  # samples left out because the topic has an earlier one with the same time
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    imu_topic: str | None = None,
+    speed_topic: str | None = None,
+    steer_torque_topic: str | None = None,
+) -> Recording:
+    """Recording from a bag. Times are those of the messages (`header.stamp`), not of their arrival.
+
+    Without a name given, a topic is found by its type and the end of its name ('/imu/data_raw',
+    '/bike1/imu/data_raw'); the others are then those of the same namespace. RecordingError, with the topics
+    that are there and the flag to use, if there is no IMU or a choice to make.
+    """
+    with BagReader(path) as bag:
+        imu_name = find_topic(bag, topics.IMU, imu_topic)
+        if imu_name is None:
+            raise RecordingError(_missing(bag, topics.IMU))
+        space = imu_name.removesuffix(topics.IMU) if imu_name.endswith("/" + topics.IMU) else "/"
+        speed_name = find_topic(bag, topics.SPEED, speed_topic, space)
+        torque_name = find_topic(bag, topics.STEER_TORQUE, steer_torque_topic, space)
+        imu, repeated = _samples(bag, imu_name, conversion.imu_samples)
+        speed, repeated_speed = _optional(bag, speed_name, conversion.speed_samples)
+        torque, repeated_torque = _optional(bag, torque_name, conversion.steer_torque_samples)
+        lean_yaw, _ = _optional(
+            bag, find_topic(bag, topics.LEAN_YAW, None, space), conversion.lean_yaw_samples
+        )
+        state, _ = _optional(bag, find_topic(bag, topics.STATE, None, space), conversion.state_samples)
+        return Recording(
+            path=Path(path),
+            imu=imu,
+            speed=speed,
+            steer_torque=torque,
+            lean_yaw=lean_yaw,
+            state=state,
+            run_info=_run_info(bag, find_topic(bag, topics.RUN_INFO, None, space)),
+            start_ns=bag.start_ns,
+            custom_data=bag.custom_data,
+            duplicates=repeated + repeated_speed + repeated_torque,
+        )
+
+
+def find_topic(bag: BagReader, topic: str, chosen: str | None = None, space: str = "/") -> str | None:
+    """Name in the bag of one of the topics of `tms_bag.topics`; None if there is none with messages.
+
+    `chosen` is the user's choice, `space` the namespace to prefer, with a slash at both ends.
+    """
+    there = [entry.name for entry in bag.topics if entry.type == topics.TYPES[topic] and entry.count]
+    if chosen is not None:
+        name = chosen if chosen.startswith("/") else "/" + chosen
+        if name not in there:
+            raise RecordingError(_missing(bag, topic, name))
+        return name
+    if space + topic in there:
+        return space + topic
+    found = [name for name in there if name.endswith("/" + topic)]
+    if len(found) > 1:
+        raise RecordingError(
+            f"{bag.path}: expected one topic {topic}, found {', '.join(found)}; choose one"
+            + (f" with {FLAGS[topic]} {found[0]}" if topic in FLAGS else " by --imu-topic in its namespace")
+        )
+    return found[0] if found else None
+
+
+def _missing(bag: BagReader, topic: str, name: str | None = None) -> str:
+    kind = topics.TYPES[topic]
+    same = [entry.name for entry in bag.topics if entry.type == kind and entry.count]
+    wanted = f"a topic {name or '/' + topic} of type {kind} with messages"
+    if same:
+        flag = FLAGS.get(topic)
+        return f"{bag.path}: expected {wanted}, found of this type {', '.join(same)}" + (
+            f"; use {flag} {same[0]}" if flag else ""
+        )
+    others = ", ".join(f"{entry.name} ({entry.type}, {entry.count})" for entry in bag.topics) or "no topics"
+    return f"{bag.path}: expected {wanted}, found none; the bag holds {others}: record that topic too"
+
+
+def _samples(bag: BagReader, name: str, decode: Callable[[Iterable[Record]], Samples]) -> tuple[Samples, int]:
+    try:
+        samples = decode(bag.records([name]))
+    except RecordingError as error:
+        raise RecordingError(f"{bag.path}: {error}") from error
+    if not samples.time_ns.any():
+        raise RecordingError(
+            f"{bag.path}: expected time stamps in {name} (header.stamp), found only 0; let the"
+            " sensor's driver stamp its messages"
+        )
+    return in_time_order(samples)
+
+
+def _optional(
+    bag: BagReader, name: str | None, decode: Callable[[Iterable[Record]], Samples]
+) -> tuple[Samples | None, int]:
+    return (None, 0) if name is None else _samples(bag, name, decode)
+
+
+def _run_info(bag: BagReader, name: str | None) -> RunInfo | None:
+    if name is None:
+        return None
+    for record in bag.records([name]):
+        return conversion.run_info(record)
+    return None

@@ -1,0 +1,128 @@
+"""Recorded quantities as arrays, and the messages that carry them.
+
+Times are integer nanoseconds since 1970 (`header.stamp`); n is the number of samples; NaN: absent. SI units
+and radians. ImuSamples are in the axes of the imu frame (REP-103); everything else carries the model's SAE
+signs (x forward, y right, z down). Nothing is converted between the two here: a message holds what its array
+holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def _unknown_variance() -> FloatArray:
+    return np.full(3, np.nan)
+
+
+def _identity() -> FloatArray:
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSamples:
+    """Readings of an inertial sensor, in its own axes."""
+
+    time_ns: IntArray  # (n,) [ns]
+    angular_velocity: FloatArray  # (n, 3) [rad/s]
+    specific_force: FloatArray  # (n, 3) [m/s^2], +g along the axis that points up at rest (REP-145)
+    angular_velocity_variance: FloatArray = field(
+        default_factory=_unknown_variance
+    )  # (3,) [rad^2/s^2], NaN: unknown
+    specific_force_variance: FloatArray = field(
+        default_factory=_unknown_variance
+    )  # (3,) [m^2/s^4], NaN: unknown
+    frame_id: str = "imu_link"
+
+
+@dataclass(frozen=True, eq=False)
+class LeanYawSamples:
+    """Lean and yaw of the rear frame, as a sensor node sums them up."""
+
+    time_ns: IntArray  # (n,) [ns]
+    lean: FloatArray  # (n,) [rad], to the right positive
+    lean_rate: FloatArray  # (n,) [rad/s]
+    yaw_rate: FloatArray  # (n,) [rad/s], about the vertical, to the right positive
+    saturation: NDArray[np.uint8]  # (n,) flags of tms_msgs/LeanYaw, 0: no axis at its limit
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedSamples:
+    """Forward speed."""
+
+    time_ns: IntArray  # (n,) [ns]
+    speed: FloatArray  # (n,) [m/s]
+
+
+@dataclass(frozen=True, eq=False)
+class SteerTorqueSamples:
+    """Known steer torque (commanded or measured)."""
+
+    time_ns: IntArray  # (n,) [ns], each value holds from its time on
+    steer_torque: FloatArray  # (n,) [N m], positive steers to the right
+
+
+@dataclass(frozen=True, eq=False)
+class StateSamples:
+    """True state of a simulated bicycle."""
+
+    time_ns: IntArray  # (n,) [ns]
+    speed: FloatArray  # (n,) [m/s]
+    state: FloatArray  # (n, 4) lean [rad], steer [rad], lean rate [rad/s], steer rate [rad/s]
+    yaw: FloatArray  # (n,) [rad]
+    yaw_rate: FloatArray  # (n,) [rad/s]
+    steer_torque: FloatArray  # (n,) [N m]
+
+
+@dataclass(frozen=True, eq=False)
+class RunInfo:
+    """What a run was and what made it. NaN, empty, -1: unknown."""
+
+    start_ns: int  # [ns] start of the run
+    bicycle: str = ""  # name in the catalogue
+    parameters: dict[str, float] = field(default_factory=dict)  # of the bicycle, SI units and radians
+    speed: float = float("nan")  # [m/s] nominal
+    imu_position: FloatArray = field(
+        default_factory=_unknown_variance
+    )  # (3,) [m] in rear_frame, REP-103 axes
+    imu_orientation: FloatArray = field(
+        default_factory=_identity
+    )  # (4,) quaternion x, y, z, w, imu -> rear_frame
+    simulated: bool = False
+    seed: int = -1
+    source: str = ""  # program and scenario, or logger and mapping
+    version: str = ""
+    source_sha256: str = ""  # of the file it was imported from
+    configuration: str = ""  # resolved, as YAML
+
+
+Samples = TypeVar("Samples", ImuSamples, LeanYawSamples, SpeedSamples, SteerTorqueSamples, StateSamples)
+
+_PER_RUN = frozenset({"angular_velocity_variance", "specific_force_variance"})
+
+
+def selected(samples: Samples, rows: IntArray | NDArray[np.bool_] | slice) -> Samples:
+    """The samples at some rows (indices, a mask or a slice), everything else unchanged."""
+    arrays = {
+        entry.name: getattr(samples, entry.name)[rows]
+        for entry in dataclasses.fields(samples)
+        if entry.name not in _PER_RUN and isinstance(getattr(samples, entry.name), np.ndarray)
+    }
+    return dataclasses.replace(samples, **arrays)
+
+
+def in_time_order(samples: Samples) -> tuple[Samples, int]:
+    """The samples sorted by time, of those with the same time only the first, and how many were left out."""
+    order = np.argsort(samples.time_ns, kind="stable")
+    times = samples.time_ns[order]
+    first = np.ones(times.size, dtype=bool)
+    first[1:] = times[1:] != times[:-1]
+    return selected(samples, order[first]), int(times.size - first.sum())

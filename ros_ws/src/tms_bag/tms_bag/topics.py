@@ -1,0 +1,26 @@
+"""The topics of this project: names, message types, quality of service.
+
+Names are relative, so that a namespace can stand before them; in a bag they stand with a leading slash.
+"""
+
+from __future__ import annotations
+
+from tms_bag.qos import LATCHED, SENSOR, Qos
+
+IMU = "imu/data_raw"
+LEAN_YAW = "imu/lean_yaw"
+SPEED = "bicycle/speed"
+STEER_TORQUE = "bicycle/steer_torque"
+STATE = "bicycle/state"
+RUN_INFO = "run_info"
+
+TYPES: dict[str, str] = {
+    IMU: "sensor_msgs/msg/Imu",
+    LEAN_YAW: "tms_msgs/msg/LeanYaw",
+    SPEED: "geometry_msgs/msg/TwistStamped",
+    STEER_TORQUE: "tms_msgs/msg/SteerTorque",
+    STATE: "tms_msgs/msg/BicycleState",
+    RUN_INFO: "tms_msgs/msg/RunInfo",
+}
+
+QOS: dict[str, Qos] = {topic: LATCHED if topic == RUN_INFO else SENSOR for topic in TYPES}
