@@ -13,16 +13,21 @@ from tms_bag.metadata import FILE_NAME
 class Destination:
     """A folder in the making. Written beside `path` and renamed at the end, unless `in_place`.
 
+    What stands at `path` already is replaced if `overwrite` says so, or moved to `keep_old_as` and kept.
+
     RecordingError, before anything is touched, if there is something at `path` already; with `overwrite` only
     if that is something else than a bag.
     """
 
-    def __init__(self, path: Path, overwrite: bool = False, in_place: bool = False) -> None:
-        if overwrite and in_place:
+    def __init__(
+        self, path: Path, overwrite: bool = False, in_place: bool = False, keep_old_as: Path | None = None
+    ) -> None:
+        if in_place and (overwrite or keep_old_as):
             raise ValueError("a bag that is written in place can't replace another one")
         self.path = Path.cwd() / path
         self._replaces = os.path.lexists(self.path)
-        if self._replaces:
+        self._keep_old_as = keep_old_as
+        if self._replaces and keep_old_as is None:
             _check_replaceable(path, self.path, overwrite)
         self._folder = self.path if in_place else self.path.with_name(f".{self.name}.{os.getpid()}.partial")
         self._made_parents: list[Path] = []
@@ -49,7 +54,7 @@ class Destination:
         """Move the finished folder to its place."""
         if self._folder == self.path:
             return
-        old = self.path.with_name(f".{self.name}.{os.getpid()}.replaced")
+        old = self._keep_old_as or self.path.with_name(f".{self.name}.{os.getpid()}.replaced")
         if self._replaces:
             self.path.rename(old)
         try:
@@ -62,7 +67,7 @@ class Destination:
                 f"{self.path}: something else was put there while the bag was written ({error.strerror});"
                 " run it again"
             ) from error
-        if self._replaces:
+        if self._replaces and old != self._keep_old_as:
             shutil.rmtree(old, ignore_errors=True)
 
     def discard(self) -> None:

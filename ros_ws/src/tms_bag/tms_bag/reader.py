@@ -13,7 +13,7 @@ from tms_bag import metadata
 from tms_bag.channel import ENCODING, Channel
 from tms_bag.errors import RecordingError
 from tms_bag.frames import DAMAGE, MAGIC
-from tms_bag.index import FileIndex, Span, index_file, span_messages
+from tms_bag.index import FileIndex, Span, index_file, scan, span_messages
 from tms_bag.record import Record
 
 
@@ -26,16 +26,21 @@ class Topic(NamedTuple):
 
 
 class BagReader:
-    """Reads a bag; use it as a context manager. RecordingError if `path` holds nothing readable."""
+    """Reads a bag; use it as a context manager. RecordingError if `path` holds nothing readable.
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    With `salvage` everything that can be read is, whatever the summaries and the metadata.yaml say: damaged
+    parts are left out, `indexes` tell how much that was.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
         self.path = Path(path)
-        files, stored = _files_of(self.path)
+        self.salvage = salvage
+        files, stored = _files_of(self.path, salvage)
         self._files: list[BinaryIO] = []
         self._indexes: list[FileIndex] = []
         try:
             for name in files:
-                self._open(name)
+                self._open(name, alone=len(files) == 1)
         except BaseException:
             self.close()
             raise
@@ -139,7 +144,7 @@ class BagReader:
             channel = channels.get(message.channel)
             if channel is None or (topics is not None and channel.name not in topics):
                 continue
-            if channel.encoding != ENCODING:
+            if channel.encoding != ENCODING and not self.salvage:
                 raise RecordingError(
                     f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found"
                     f" {channel.encoding!r} on"
@@ -155,7 +160,7 @@ class BagReader:
                 f"{self.path}: no topic {', '.join(missing)}; there are: {', '.join(sorted(there)) or 'none'}"
             )
 
-    def _open(self, path: Path) -> None:
+    def _open(self, path: Path, alone: bool) -> None:
         try:
             file = path.open("rb")
         except OSError as error:
@@ -163,16 +168,19 @@ class BagReader:
         self._files.append(file)
         size = os.fstat(file.fileno()).st_size
         magic = file.read(len(MAGIC))
+        if magic != MAGIC and self.salvage and not alone:
+            self._indexes.append(FileIndex(unread_bytes=size))  # the other files may hold something
+            return
         if magic != MAGIC:
             found = "an empty file" if size == 0 else f"{size} bytes that start with {magic!r}"
             raise RecordingError(
                 f"{path}: expected an MCAP file, found {found}; there is nothing to read in it"
             )
-        self._indexes.append(index_file(file, size))
+        self._indexes.append(scan(file, size) if self.salvage else index_file(file, size))
 
 
-def _files_of(path: Path) -> tuple[list[Path], metadata.Metadata | None]:
-    """The MCAP files of a bag, and its metadata.yaml if it has one."""
+def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:
+    """The MCAP files of a bag, and its metadata.yaml if it has one (that can be read, for `salvage`)."""
     if path.is_file():
         return [path], None
     if not path.is_dir():
@@ -180,8 +188,8 @@ def _files_of(path: Path) -> tuple[list[Path], metadata.Metadata | None]:
         raise RecordingError(
             f"{path}: expected a bag (a folder) or an .mcap file, found {found}; check the path"
         )
-    if (path / metadata.FILE_NAME).is_file():
-        stored = metadata.read_file(path / metadata.FILE_NAME)
+    stored = _stored_metadata(path, salvage)
+    if stored and not salvage:
         return [_inside(path, name) for name in stored.files], stored
     names = sorted((entry.name for entry in path.iterdir() if entry.suffix == ".mcap"), key=_split_number)
     if not names:
@@ -191,7 +199,18 @@ def _files_of(path: Path) -> tuple[list[Path], metadata.Metadata | None]:
             f" {', '.join(entries) or 'an empty folder'};"
             " give the folder that `bag record`, `sim run` or `ros2 bag record -s mcap` made"
         )
-    return [_inside(path, name) for name in names], None
+    return [_inside(path, name) for name in names], stored
+
+
+def _stored_metadata(path: Path, salvage: bool) -> metadata.Metadata | None:
+    if not (path / metadata.FILE_NAME).is_file():
+        return None
+    try:
+        return metadata.read_file(path / metadata.FILE_NAME)
+    except RecordingError:
+        if salvage:
+            return None
+        raise
 
 
 def _inside(folder: Path, name: str) -> Path:

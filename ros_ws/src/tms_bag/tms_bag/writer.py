@@ -31,7 +31,8 @@ class BagWriter:
 
     Written beside `path` and renamed to it at a clean end: after an exception nothing is left. With `live` it
     is written in place, and kept as far as it got whatever happens; `flush` then bounds what can be lost.
-    RecordingError if `path` exists; with `overwrite` an existing bag (and nothing but a bag) is replaced.
+    RecordingError if `path` exists; with `overwrite` an existing bag (and nothing but a bag) is replaced,
+    with `keep_old_as` whatever is there is moved to that path.
     """
 
     def __init__(
@@ -40,11 +41,14 @@ class BagWriter:
         custom_data: Mapping[str, str] | None = None,
         overwrite: bool = False,
         live: bool = False,
+        keep_old_as: Path | None = None,
     ) -> None:
         self.path = Path(path)
         self.custom_data = dict(custom_data or {})
         self.live = live
-        self._destination = Destination(self.path, overwrite=overwrite, in_place=live)
+        self._destination = Destination(
+            self.path, overwrite=overwrite, in_place=live, keep_old_as=keep_old_as
+        )
         self._channels: dict[str, tuple[int, Channel]] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
         self._counts: dict[str, int] = {}
@@ -62,7 +66,7 @@ class BagWriter:
         self._mcap.start(profile="ros2", library=LIBRARY)
         if self.live:
             self._add_metadata_record()  # an unfinished file says what it is, too
-            self._mcap.flush()
+            self.flush()
         return self
 
     def __exit__(

@@ -1,0 +1,181 @@
+"""Command line of recordings: python -m tms_bag, or ./tms bag."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tms_model import ParameterError
+from tms_model.command_line import Parser, print_json, run
+from tqdm import tqdm
+
+from tms_bag.csv_import import import_csv
+from tms_bag.errors import RecordingError
+from tms_bag.mapping import adapted, load_mapping, mapping_names
+from tms_bag.reader import BagReader
+from tms_bag.repair import repair
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parse the arguments and answer. Raises RecordingError and ParameterError."""
+    arguments = _parser().parse_args(argv)
+    COMMANDS[arguments.command](arguments)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="tms bag", description="Recordings: rosbag2 bags (MCAP) looked at, imported, repaired."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    info = commands.add_parser("info", help="what a bag holds", description="What a bag or .mcap file holds.")
+    info.add_argument("bag", help="folder of a bag, or an .mcap file")
+    info.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+    _add_import(commands)
+    mend = commands.add_parser(
+        "repair",
+        help="a clean bag out of an unfinished or damaged one",
+        description="Writes what can be read of a bag as a clean one; keeps the original.",
+    )
+    mend.add_argument("bag", help="folder of a bag, or an .mcap file")
+    mend.add_argument(
+        "-o", "--output", help="bag to write (default: in the place of BAG, kept as BAG.unrepaired)"
+    )
+    record = commands.add_parser(
+        "record", help="record topics until Ctrl-C", description="Runs the recorder node."
+    )
+    record.add_argument("-o", "--output", help="bag to write (default: bag_ and the time, in this folder)")
+    record.add_argument("--topics", nargs="+", default=[], help="topics to record (default: all)")
+    play = commands.add_parser("play", help="publish a bag's messages", description="Runs the player node.")
+    play.add_argument("bag", help="folder of a bag, or an .mcap file")
+    play.add_argument("--rate", type=float, default=1.0, help="times real time (default 1)")
+    play.add_argument("--start-offset", type=float, default=0.0, help="start this much into the bag [s]")
+    play.add_argument("--topics", nargs="+", default=[], help="topics to play (default: all)")
+    play.add_argument("--loop", action="store_true", help="start anew at the end, until Ctrl-C")
+    play.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
+    return parser
+
+
+def _add_import(commands: Any) -> None:
+    log = commands.add_parser(
+        "import-csv",
+        help="turn a logger's CSV into a bag",
+        description="Turns a logger's CSV into a bag with the topics of this project.",
+    )
+    log.add_argument("log", help="CSV file with a header")
+    log.add_argument(
+        "--mapping",
+        required=True,
+        help=f"meaning of the columns: {', '.join(mapping_names())}, or a .yaml file",
+    )
+    log.add_argument("-o", "--output", required=True, help="bag to write")
+    log.add_argument("--force", action="store_true", help="replace a bag that is there already")
+    log.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="QUANTITY=NAME",
+        help="the column is called NAME in this log",
+    )
+    log.add_argument(
+        "--without", action="append", default=[], metavar="QUANTITY", help="this log has no such column"
+    )
+    log.add_argument(
+        "--missing", choices=("error", "skip"), help="rows with empty or NaN cells (default: the mapping's)"
+    )
+    log.add_argument("--bicycle", help="name in the catalogue (default: the mapping's)")
+
+
+def _info(arguments: argparse.Namespace) -> None:
+    with BagReader(arguments.bag) as bag:
+        duration = (bag.end_ns - bag.start_ns) / 1e9
+        if arguments.json:
+            print_json(
+                {
+                    "path": str(bag.path),
+                    "duration": duration,
+                    "message_count": bag.message_count,
+                    "topics": [topic._asdict() for topic in bag.topics],
+                    "metadata": {**bag.custom_data, "complete": bag.complete, "start_ns": bag.start_ns},
+                }
+            )
+        else:
+            _print_info(bag, duration)
+
+
+def _print_info(bag: BagReader, duration: float) -> None:
+    state = "" if bag.complete else " (unfinished: `tms bag repair` makes a clean bag of it)"
+    start = datetime.fromtimestamp(bag.start_ns / 1e9, timezone.utc).isoformat(timespec="milliseconds")
+    print(f"{bag.path}: {bag.message_count} messages in {duration:.3f} s from {start}{state}")
+    for topic in bag.topics:
+        print(f"  {topic.name:28} {topic.type:36} {topic.count:9d}")
+    for key, value in bag.custom_data.items():
+        lines = value.rstrip().split("\n")
+        print(f"  {key}: {lines[0]}" if len(lines) == 1 else "\n    ".join([f"  {key}:", *lines]))
+
+
+def _import_csv(arguments: argparse.Namespace) -> None:
+    columns = dict(_assignment(text) for text in arguments.column)
+    skip = None if arguments.missing is None else arguments.missing == "skip"
+    mapping = adapted(load_mapping(arguments.mapping), columns, arguments.without, skip, arguments.bicycle)
+    log = import_csv(arguments.log, mapping, arguments.output, overwrite=arguments.force)
+    skipped = f", {log.skipped} rows with empty or NaN cells left out" if log.skipped else ""
+    print(f"{arguments.output}: {log.time_ns.size} rows of {', '.join(log.columns)}{skipped}")
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    quantity, equals, name = text.partition("=")
+    if not (quantity and equals and name):
+        raise ParameterError(f"--column: expected QUANTITY=NAME, found {text!r}")
+    return quantity, name
+
+
+def _repair(arguments: argparse.Namespace) -> None:
+    progress = partial(tqdm, desc="repair", unit=" messages", disable=None)
+    done = repair(arguments.bag, arguments.output, progress)
+    if done.output is None:
+        print(f"{arguments.bag}: {done.message_count} messages, closed properly; nothing to repair")
+        return
+    lost = f"; left out: {done.damaged_chunks} damaged parts, {done.unread_bytes} bytes at the end"
+    kept = f"; the original is {done.original}" if done.original else ""
+    print(f"{done.output}: {done.message_count} messages recovered{lost}{kept}")
+
+
+def _record(arguments: argparse.Namespace) -> None:
+    output = arguments.output or f"bag_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    _run_node("recorder", {"output": str(Path.cwd() / output), "topics": arguments.topics})
+
+
+def _play(arguments: argparse.Namespace) -> None:
+    with BagReader(arguments.bag) as bag:
+        parameters = {
+            "bag": str(Path.cwd() / bag.path),
+            "rate": arguments.rate,
+            "start_offset": arguments.start_offset,
+            "loop": arguments.loop,
+            "publish_clock": arguments.clock,
+            "topics": arguments.topics,
+        }
+    _run_node("player", parameters)
+
+
+def _run_node(name: str, parameters: dict[str, Any]) -> None:
+    """Become the node, so that signals and the exit code are the node's."""
+    arguments = [sys.executable, "-m", f"tms_bag.nodes.{name}", "--ros-args"]
+    for key, value in parameters.items():
+        if value != []:  # an empty list has no type for ROS; the node's default is empty
+            arguments += ["-p", f"{key}:={json.dumps(value)}"]
+    sys.stdout.flush()
+    os.execv(sys.executable, arguments)
+
+
+COMMANDS = {"info": _info, "import-csv": _import_csv, "repair": _repair, "record": _record, "play": _play}
+
+if __name__ == "__main__":
+    sys.exit(run(main, (RecordingError, ParameterError)))
