@@ -65,10 +65,11 @@ def discretise(system: LinearSystem, step: float) -> tuple[Array, Array]:
 
     Both blocks come from one matrix exponential (Van Loan).
     """
-    augmented = np.zeros((5, 5))
-    augmented[:4, :4], augmented[:4, 4] = system.a, system.b
+    size = len(system.b)
+    augmented = np.zeros((size + 1, size + 1))
+    augmented[:size, :size], augmented[:size, size] = system.a, system.b
     exponential = expm(augmented * step)
-    return exponential[:4, :4], exponential[:4, 4]
+    return exponential[:size, :size], exponential[:size, size]
 
 
 def response(system: LinearSystem, initial: Array, times: Array, steer_torque: Array | None = None) -> Array:
@@ -86,9 +87,16 @@ def response(system: LinearSystem, initial: Array, times: Array, steer_torque: A
         if step not in transitions:
             transitions[step] = discretise(system, float(step))
         phi, gamma = transitions[step]
-        state = phi @ state + (gamma * torque[k]).reshape((4,) + (1,) * (initial.ndim - 1))
+        state = phi @ state + (gamma * torque[k]).reshape((-1,) + (1,) * (initial.ndim - 1))
         states[k] = state
     return states
+
+
+def with_heading(system: LinearSystem) -> LinearSystem:
+    """The same system with the heading (yaw angle, SAE) as a fifth state, integrated as exactly as the others."""
+    a = np.zeros((5, 5))
+    a[:4, :4], a[4, :4] = system.a, system.yaw
+    return LinearSystem(a, np.append(system.b, 0.0), np.append(system.yaw, 0.0), system.speed)
 
 
 def yaw_rate(system: LinearSystem, states: Array) -> Array:

@@ -1,0 +1,104 @@
+"""Command line of the estimators: python -m tms_fit, or ./tms fit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from tms_bag import RecordingError, read_recording
+from tms_model import ParameterError
+from tms_model.command_line import Parser, print_json, run
+
+from tms_fit.estimators import ESTIMATORS
+from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
+from tms_fit.result import to_json, to_table
+from tms_fit.settings import DEFAULT_FREE, LINEAR, FitSettings
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parse the arguments and answer. Raises ParameterError and RecordingError."""
+    arguments = _parser().parse_args(argv)
+    if arguments.command == "run":
+        fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
+        print_json(to_json(fit)) if arguments.json else print(to_table(fit))
+    else:
+        estimator = arguments.estimator[0] if arguments.estimator else "least_squares"
+        fit = _fit(arguments, (estimator,))
+        from tms_fit.figure3b import figure_3b  # matplotlib takes a second to import: only who plots pays for it
+        from tms_model.plot import save_figure
+
+        save_figure(figure_3b(fit, arguments.strike), Path(arguments.output))
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="tms fit", description="Reads a run: strikes, initial lean rate, measured against predicted.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    texts = {
+        "run": "find the strikes of a bag and fit each",
+        "figure3b": "figure of measured and predicted lean and yaw rate (PNG, SVG, PDF)",
+    }
+    for name, text in texts.items():
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("bag", help="bag folder or .mcap file")
+        command.add_argument("--bicycle", help="catalogue name or .yaml file (default: the one the bag names)")
+        command.add_argument(
+            "--estimator", action="append", choices=list(ESTIMATORS), help="may be repeated (default: least_squares, kalman_rts)"
+        )
+        command.add_argument(
+            "--free", type=_names, metavar="NAME,...", help=f"of {', '.join(LINEAR)} (default: {','.join(DEFAULT_FREE)})"
+        )
+        command.add_argument(
+            "--fix", action="append", default=[], type=_assignment, metavar="NAME=VALUE", help="a parameter, or speed [m/s]"
+        )
+        command.add_argument(
+            "--window", type=float, default=FitSettings.window, help="longest free response used [s] (default %(default)s)"
+        )
+        command.add_argument(
+            "--steer-torque",
+            choices=("auto", "feedback", "input", "ignore"),
+            default=FitSettings.steer_torque,
+            help="how a known steer torque enters (default: feedback where it is proportional to the lean rate, else input)",
+        )
+        command.add_argument("--imu-topic", help="topic of type sensor_msgs/msg/Imu")
+        command.add_argument("--speed-topic", help="topic of type geometry_msgs/msg/TwistStamped")
+        command.add_argument("--steer-torque-topic", help="topic of type tms_msgs/msg/SteerTorque")
+        if name == "run":
+            command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+        else:
+            command.add_argument("-o", "--output", required=True, help="file to write, .png, .svg or .pdf")
+            command.add_argument("--strike", type=int, default=1, help="which strike, counted from 1 (default 1)")
+    return parser
+
+
+def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> RecordingFit:
+    settings = FitSettings(
+        free=arguments.free,
+        fixed=dict(arguments.fix),
+        window=arguments.window,
+        steer_torque=arguments.steer_torque,
+        estimators=estimators,
+    )
+    recording = read_recording(
+        arguments.bag, arguments.imu_topic, arguments.speed_topic, arguments.steer_torque_topic
+    )
+    return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    try:
+        if equals:
+            return name.strip(), float(value)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"expected NAME=VALUE with a number, found {text!r}")
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, (ParameterError, RecordingError)))

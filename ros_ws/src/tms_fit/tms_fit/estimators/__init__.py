@@ -1,0 +1,20 @@
+"""The estimators by name. A new one: one file here and one line below.
+
+Each is a function (window, free, fixed) -> Estimate: `free` names the parameters to estimate, `fixed` gives values of others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tms_fit.estimate import Estimate
+from tms_fit.estimators import kalman_rts, least_squares, som2011
+from tms_fit.window import Window
+
+Estimator = Callable[[Window, tuple[str, ...], dict[str, float]], Estimate]
+
+ESTIMATORS: dict[str, Estimator] = {
+    "least_squares": least_squares.estimate,
+    "kalman_rts": kalman_rts.estimate,
+    "som2011": som2011.estimate,
+}

@@ -1,0 +1,140 @@
+"""Kalman filter (filterpy) over the free response, and fixed-interval smoothing back to the strike.
+
+The state is lean, steer, lean rate, steer rate and the free biases. Nothing disturbs the bicycle after the strike, so the
+process noise is zero and the smoothed initial state is the least-squares one: two ways to the same answer.
+
+The smoother is Rauch, Tung and Striebel's in the form of Bryson and Frazier. The usual form inverts the predicted covariance,
+which is singular here (initial states that are known, no process noise) and soon becomes so (the castering mode dies out);
+filterpy's rts_smoother then fails or loses all digits. This form inverts innovation covariances only.
+
+References: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965), doi 10.2514/3.3166; A. E. Bryson and M. Frazier (1963);
+G. J. Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18 (1973), doi 10.1080/00207177308932487.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from tms_model import discretise
+from tms_model.bicycle import Array
+from tms_model.response import LEAN_RATE
+
+from tms_fit.estimate import Estimate, too_short, variance_accounted_for
+from tms_fit.estimators.least_squares import measured_channels, sensitivity, solve
+from tms_fit.prediction import predictor
+from tms_fit.settings import BIASES, INITIAL
+from tms_fit.window import Window
+
+PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give; taken out again in the end
+
+
+def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Estimate:
+    """Smoothed initial state and biases. The measurement noise is that of the least-squares residuals."""
+    reason = too_short(window, free)
+    if reason:
+        return Estimate("kalman_rts", "too_short", reason)
+    solution = solve(window, free, fixed)
+    if not len(solution.values):
+        message = f"the measured channels do not tell {', '.join(free)} apart; free fewer of them"
+        return Estimate("kalman_rts", "not_observable", message)
+    degrees = solution.count - len(free) - (1 if window.delay_std else 0)
+    noise = float(np.sqrt(solution.residual_sum / degrees))
+    prior = dict(zip(free, PRIOR * noise * np.sqrt(np.diag(solution.inverse)), strict=True))
+    # A noise of exactly zero has no filter; the smallest one that keeps the matrices apart stands for it.
+    noise_used = max(noise, 1e-6)
+    values, covariance = _smooth(window, prior, fixed, noise_used)
+    if not (np.isfinite(values).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()):
+        return Estimate("kalman_rts", "not_converged", "the smoother lost its precision: try fewer free parameters")
+    if window.delay_std:
+        shift = sensitivity(window, lambda moved: _smooth(moved, prior, fixed, noise_used)[0])
+        covariance = covariance + np.outer(shift, shift) * window.delay_std**2
+    parameters = {**fixed, **dict(zip(free, values, strict=True))}
+    return Estimate(
+        estimator="kalman_rts",
+        status="ok",
+        message=f"Kalman filter on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s, smoothed back",
+        names=free,
+        values=values,
+        covariance=covariance,
+        degrees_of_freedom=degrees,
+        residual_std=noise,
+        vaf=variance_accounted_for(window, predictor(window).predict(parameters)),
+        sample_count=solution.count,
+    )
+
+
+def _smooth(window: Window, prior: dict[str, float], fixed: dict[str, float], noise: float) -> tuple[Array, Array]:
+    """Smoothed values (p,) and covariance (p, p) of the parameters in `prior`, at the start of the free response.
+
+    The prior (standard deviations by name) serves the recursion and is taken out exactly at the end, so that the answer is
+    what the data alone say: with curvature L and gradient l of the adjoint pass at the start, prior x0, P0, the values are
+    x0 - L^-1 l and their covariance L^-1 - P0 (from x0 - P0 l and P0 - P0 L P0 by the matrix inversion lemma).
+    """
+    names = _names(prior)
+    kalman = KalmanFilter(dim_x=len(names), dim_z=2, dim_u=1)
+    kalman.x = np.array([[fixed.get(name, 0.0)] for name in names])
+    kalman.P = np.diag([prior.get(name, 0.0) ** 2 for name in names])
+    index = [names.index(name) for name in prior]
+    start, uncertainty = kalman.x[index, 0], kalman.P[np.ix_(index, index)]
+    rows = _measurement_rows(window, names)
+    measured = window.measured - [0.0 if name in names else fixed.get(name, 0.0) for name in BIASES]
+    torque = np.zeros(len(window.time)) if window.steer_torque is None else np.nan_to_num(window.steer_torque)
+    steps = np.round(np.diff(window.time, prepend=-window.delay), 9)
+    known = {step: _transition(window, float(step), len(names)) for step in set(steps.tolist())}
+    passed = []
+    for k, (step, sample) in enumerate(zip(steps.tolist(), measured, strict=True)):
+        transition, control = known[step]
+        kalman.predict(u=np.array([[torque[max(k - 1, 0)]]]), B=control, F=transition, Q=0.0)
+        passed.append((transition, *_update(kalman, rows, sample, noise)))
+    gradient, curvature = _backward(passed, len(names))
+    inverse = np.linalg.inv(curvature[np.ix_(index, index)])
+    return start - inverse @ gradient[index, 0], inverse - uncertainty
+
+
+def _backward(passed: list[tuple[Array, Array, Array, Array, Array]], size: int) -> tuple[Array, Array]:
+    """Adjoint pass of Bryson and Frazier: what all measurements together say about the state at the start.
+
+    passed: per sample F (size, size), H (m, size), gain K (size, m), innovation y (m, 1), inverse of its covariance (m, m).
+    """
+    gradient, curvature = np.zeros((size, 1)), np.zeros((size, size))
+    for transition, rows, gain, innovation, information in reversed(passed):
+        kept = np.eye(size) - gain @ rows
+        gradient = transition.T @ (kept.T @ gradient - rows.T @ information @ innovation)
+        curvature = transition.T @ (kept.T @ curvature @ kept + rows.T @ information @ rows) @ transition
+    return gradient, curvature
+
+
+def _names(prior: dict[str, float]) -> tuple[str, ...]:
+    """The state: the four of the bicycle, then the free biases."""
+    return (*INITIAL, *(name for name in BIASES if name in prior))
+
+
+def _transition(window: Window, step: float, size: int) -> tuple[Array, Array]:
+    phi, gamma = discretise(window.system, step)
+    transition, control = np.eye(size), np.zeros((size, 1))
+    transition[:4, :4], control[:4, 0] = phi, gamma
+    return transition, control
+
+
+def _measurement_rows(window: Window, names: tuple[str, ...]) -> Array:
+    """H (2, size): lean rate and yaw rate from the state."""
+    rows = np.zeros((2, len(names)))
+    rows[0, LEAN_RATE] = 1.0
+    rows[1, :4] = window.system.yaw
+    for channel, name in enumerate(BIASES):
+        if name in names:
+            rows[channel, names.index(name)] = 1.0
+    return rows
+
+
+def _update(kalman: KalmanFilter, rows: Array, sample: Array, noise: float) -> tuple[Array, Array, Array, Array]:
+    """Use the channels that were measured; return H, K, innovation and inverse innovation covariance of what was used."""
+    size = len(kalman.x)
+    good = np.isfinite(sample)
+    if not good.any():
+        return np.zeros((0, size)), np.zeros((size, 0)), np.zeros((0, 1)), np.zeros((0, 0))
+    # filterpy wants columns: a one-dimensional z would silently turn x into a matrix.
+    kalman.update(sample[good].reshape(-1, 1), R=noise**2 * np.eye(int(good.sum())), H=rows[good])
+    if kalman.x.shape != (size, 1):
+        raise AssertionError(f"state of shape {kalman.x.shape} after an update")
+    return rows[good], kalman.K.copy(), kalman.y.copy(), kalman.SI.copy()

@@ -1,0 +1,71 @@
+"""Estimates and filter states as messages: the one place of this package that knows their fields."""
+
+from __future__ import annotations
+
+import numpy as np
+from tms_bag.messages import message_type, serialize
+from tms_bag.record import Record
+
+from tms_fit.estimate import Estimate
+from tms_fit.online import StrikeFit
+from tms_fit.running_filter import FilterStep
+
+ESTIMATE, ESTIMATE_TYPE = "estimate", "tms_msgs/msg/Estimate"
+FILTER_STATE, FILTER_STATE_TYPE = "filter_state", "tms_msgs/msg/FilterState"
+
+
+def estimate_records(fit: StrikeFit, bicycle: str) -> list[Record]:
+    """One record per estimator on the topic `estimate`, stamped with the start of the free response."""
+    return [Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, _estimate(fit, one, bicycle)) for one in fit.estimates]
+
+
+def filter_state_record(step: FilterStep) -> Record:
+    """A record on the topic `filter_state`."""
+    message = message_type(FILTER_STATE_TYPE)(
+        header=_header(step.time_ns),
+        state=step.state,
+        covariance=step.covariance.ravel(),
+        innovation=step.innovation,
+        innovation_covariance=step.innovation_covariance.ravel(),
+        nis=step.nis,
+        channel_count=step.channel_count,
+        reset=step.reset,
+        speed=step.speed,
+    )
+    return Record(f"/{FILTER_STATE}", FILTER_STATE_TYPE, step.time_ns, serialize(message))
+
+
+def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
+    key_value = message_type("diagnostic_msgs/msg/KeyValue")
+    diagnostics = {"residual_std": estimate.residual_std, "start_std": 0.0}
+    if fit.window is not None:
+        diagnostics["start_std"] = fit.window.delay_std
+        diagnostics["speed"] = fit.window.system.speed
+        diagnostics["lean_rate_gain"] = fit.window.lean_rate_gain
+    message = message_type(ESTIMATE_TYPE)(
+        header=_header(fit.start_ns),
+        window_start=_time(fit.strike.time_ns),
+        window_end=_time(fit.end_ns),
+        bicycle=bicycle,
+        estimator=estimate.estimator,
+        status=estimate.status,
+        message=estimate.message,
+        names=list(estimate.names),
+        values=estimate.values,
+        covariance=estimate.covariance.ravel(),
+        ci95_low=np.ascontiguousarray(estimate.ci95[:, 0]) if estimate.names else np.empty(0),
+        ci95_high=np.ascontiguousarray(estimate.ci95[:, 1]) if estimate.names else np.empty(0),
+        sample_count=estimate.sample_count,
+        channels=list(estimate.vaf),
+        vaf=np.array(list(estimate.vaf.values()), dtype=float),
+        diagnostics=[key_value(key=key, value=repr(float(value))) for key, value in diagnostics.items()],
+    )
+    return serialize(message)
+
+
+def _time(time_ns: int):  # type: ignore[no-untyped-def]
+    return message_type("builtin_interfaces/msg/Time")(sec=time_ns // 1_000_000_000, nanosec=time_ns % 1_000_000_000)
+
+
+def _header(time_ns: int):  # type: ignore[no-untyped-def]
+    return message_type("std_msgs/msg/Header")(stamp=_time(time_ns), frame_id="rear_frame")

@@ -1,0 +1,101 @@
+"""Estimator: filter state after every IMU sample, and an estimate of the initial lean rate after every strike."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from tms_bag import topics
+from tms_bag.nodes.diagnostics import Report, report_every_second
+from tms_bag.nodes.interfaces import message_class
+from tms_bag.nodes.parameters import declare
+from tms_bag.nodes.process import run_node
+
+from tms_fit.live import INPUTS, LiveFit
+from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE, FILTER_STATE_TYPE
+from tms_fit.settings import LINEAR, FitSettings
+
+DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
+
+
+class Estimator(Node):  # type: ignore[misc]
+    """Node that carries messages to and from a LiveFit."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("estimator", **kwargs)
+        bicycle = declare(self, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names")
+        free = declare(self, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default")
+        settings = FitSettings(
+            free=tuple(name for name in free if name) or None,
+            window=declare(self, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
+            gyroscope_noise=declare(
+                self, "gyroscope_noise", FitSettings.gyroscope_noise, "noise where no message states it [rad/s]", 1e-9, 10.0
+            ),
+            steer_torque=declare(
+                self, "steer_torque", FitSettings.steer_torque, "how a known torque enters: auto, feedback, input, ignore"
+            ),
+            estimators=tuple(declare(self, "estimators", list(FitSettings.estimators), "estimators, in order")),
+        )
+        self._idle = declare(self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0)
+        self._fit = LiveFit(settings, bicycle)
+        self._last = time.monotonic()
+        # Estimates are few and must not be missed by who comes late; filter states are a stream like any sensor's.
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._outputs = {
+            f"/{ESTIMATE}": self.create_publisher(message_class(ESTIMATE_TYPE), ESTIMATE, latched),
+            f"/{FILTER_STATE}": self.create_publisher(message_class(FILTER_STATE_TYPE), FILTER_STATE, 100),
+        }
+        for topic in INPUTS:
+            self._listen(topic)
+        self.create_timer(0.2, self._finish_when_idle)
+        report_every_second(self, self._report)
+        self.get_logger().info("estimator ready")
+
+    def run(self) -> None:
+        """Work until a signal."""
+        rclpy.spin(self)
+
+    def close(self) -> None:
+        """Say what came."""
+        print(f"estimator: {dict(self._fit.counts)}", file=sys.stderr)
+
+    def _listen(self, topic: str) -> None:
+        latched = topic == topics.RUN_INFO
+        profile = QoSProfile(
+            depth=10 if latched else DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        kind = message_class(topics.TYPES[topic])
+        self.create_subscription(kind, topic, lambda data: self._take(topic, data), profile, raw=True)
+
+    def _take(self, topic: str, data: bytes) -> None:
+        self._last = time.monotonic()
+        self._publish(self._fit.take(topic, data))
+
+    def _finish_when_idle(self) -> None:
+        if time.monotonic() - self._last > self._idle:
+            self._last = float("inf")
+            self._publish(self._fit.finish())
+
+    def _publish(self, records: list[Any]) -> None:
+        for record in records:
+            self._outputs[record.topic].publish(record.data)
+
+    def _report(self) -> Report:
+        waiting = not self._fit.bicycle
+        text = "waiting for run_info, or set the parameter bicycle" if waiting else f"bicycle {self._fit.bicycle}"
+        return text, not waiting, dict(self._fit.counts)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the estimator as a process."""
+    return run_node(Estimator, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The fit of a recording: the same samples through the same class as a live run."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_bag import Recording, RecordingError
+from tms_model import Bicycle, load_bicycle
+from tms_model.bicycle import Array
+from tms_model.frames import quaternion
+from tqdm import tqdm
+
+from tms_fit.online import OnlineFit, StrikeFit
+from tms_fit.settings import FitSettings
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFit:
+    """All strikes of a recording."""
+
+    recording: Recording
+    bicycle: Bicycle
+    settings: FitSettings
+    strikes: tuple[StrikeFit, ...]
+
+
+def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
+    """The bicycle asked for, else the one that the recording names. Raises RecordingError when neither does."""
+    found = name or (recording.run_info.bicycle if recording.run_info else "")
+    if not found:
+        raise RecordingError(f"{recording.path}: expected a run_info that names the bicycle, found none; use --bicycle NAME")
+    return load_bicycle(found)
+
+
+def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings) -> RecordingFit:
+    """Find the strikes of a recording and fit each. Raises RecordingError when there is no speed or no lean rate to fit."""
+    info = recording.run_info
+    nominal = info.speed if info else float("nan")
+    if recording.speed is None and "speed" not in settings.fixed and not np.isfinite(nominal):
+        raise RecordingError(f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s]")
+    if recording.speed is not None and "speed" not in settings.fixed and not (recording.speed.speed > 0.0).any():
+        raise RecordingError(
+            f"{recording.path}: expected a positive forward speed, found at most {np.nanmax(recording.speed.speed):g} m/s;"
+            " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
+        )
+    online = OnlineFit(bicycle, settings, orientation_of(recording), nominal, running_filter=False)
+    feed(online, recording)
+    if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
+        raise RecordingError(f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN")
+    strikes = [result for result in online.results() if isinstance(result, StrikeFit)]
+    return RecordingFit(recording, bicycle, settings, tuple(strikes))
+
+
+def orientation_of(recording: Recording) -> Array:
+    """Quaternion of the imu in the rear frame, the identity when the recording does not say."""
+    info = recording.run_info
+    if info is not None and np.isfinite(info.imu_orientation).all():
+        return info.imu_orientation
+    return quaternion(0.0, 0.0, 0.0)
+
+
+def feed(online: OnlineFit, recording: Recording) -> None:
+    """Give all samples of a recording to `online`, in time order, and finish it."""
+    times, kinds, rows = _merged(recording)
+    imu, speed, torque = recording.imu, recording.speed, recording.steer_torque
+    for time_ns, kind, row in zip(
+        tqdm(times.tolist(), desc="fit", unit=" samples", leave=False, disable=not sys.stderr.isatty()),
+        kinds.tolist(),
+        rows.tolist(),
+        strict=True,
+    ):
+        if kind == 2:
+            online.add_imu(time_ns, imu.angular_velocity[row], imu.angular_velocity_variance)
+        elif kind == 1 and torque is not None:
+            online.add_steer_torque(time_ns, float(torque.steer_torque[row]))
+        elif speed is not None:
+            online.add_speed(time_ns, float(speed.speed[row]))
+    online.finish()
+
+
+def _merged(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Times, kinds (0 speed, 1 torque, 2 imu) and rows of all samples; at equal times the imu comes last."""
+    series = (recording.speed, recording.steer_torque, recording.imu)
+    stamps = [np.asarray(one.time_ns) if one is not None else np.empty(0, np.int64) for one in series]
+    times = np.concatenate(stamps)
+    kinds = np.repeat([0, 1, 2], [len(one) for one in stamps])
+    rows = np.concatenate([np.arange(len(one)) for one in stamps])
+    order = np.lexsort((kinds, times))
+    return times[order], kinds[order], rows[order]

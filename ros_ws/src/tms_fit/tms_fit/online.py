@@ -1,0 +1,233 @@
+"""Strikes and fits from samples as they come. A live run, a replayed bag and `fit run` all go through this one class.
+
+What comes out depends on the samples and their time stamps alone, not on how the topics interleave: an IMU sample is used
+once speed and steer torque are known up to its time, or are late by more than `PATIENCE`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from tms_model import Bicycle, ParameterError
+from tms_model.bicycle import Array
+from tms_model.frames import imu_to_rear_frame
+
+from tms_fit.estimate import Estimate
+from tms_fit.estimators import ESTIMATORS
+from tms_fit.estimators.least_squares import refine_start
+from tms_fit.running_filter import FilterStep, RunningFilter
+from tms_fit.settings import BIASES, DEFAULT_FREE, FitSettings
+from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
+from tms_fit.window import Window, make_window
+
+PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
+
+
+@dataclass(frozen=True, eq=False)
+class StrikeFit:
+    """One strike and what each estimator says about it."""
+
+    strike: Strike
+    end_ns: int  # last sample used
+    window: Window | None  # None: there was nothing to compare with, the estimates say why
+    estimates: tuple[Estimate, ...]
+
+    @property
+    def start_ns(self) -> int:
+        """Start of the free response."""
+        return self.window.start_ns if self.window else self.strike.time_ns
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    time_ns: int
+    angular_velocity: Array  # (3,) SAE axes of the rear frame
+    variance: Array  # (3,)
+    speed: float
+    steer_torque: float
+
+
+class _Series:
+    """Samples of one slow topic, in ascending time."""
+
+    def __init__(self) -> None:
+        self.time: list[int] = []
+        self.value: list[float] = []
+
+    def add(self, time_ns: int, value: float) -> None:
+        if not self.time or time_ns > self.time[-1]:
+            self.time.append(time_ns)
+            self.value.append(value)
+
+    def at(self, time_ns: int) -> float:
+        """The last value at or before a time; NaN before the first."""
+        index = bisect_right(self.time, time_ns)
+        return self.value[index - 1] if index else float("nan")
+
+    def forget(self, before_ns: int) -> None:
+        index = bisect_right(self.time, before_ns) - 1  # keeps the one that holds at before_ns
+        if index > 1000:
+            del self.time[:index], self.value[:index]
+
+
+class OnlineFit:
+    """Feed it samples (any order between topics, ascending within one); take what `results` returns."""
+
+    def __init__(
+        self,
+        bicycle: Bicycle,
+        settings: FitSettings,
+        imu_orientation: Array,
+        nominal_speed: float = float("nan"),
+        running_filter: bool = True,
+    ) -> None:
+        """imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103). nominal_speed [m/s]: used without a speed topic."""
+        for name in settings.estimators:
+            if name not in ESTIMATORS:
+                raise ParameterError(f"estimator: unknown {name!r}; expected of {', '.join(ESTIMATORS)}")
+        self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
+        self._nominal_speed = settings.fixed.get("speed", nominal_speed)
+        self._filter = RunningFilter(bicycle, settings.gyroscope_noise) if running_filter else None
+        self._detector = StrikeDetector()
+        self._waiting: deque[tuple[int, Array, Array]] = deque()
+        self._speed, self._torque = _Series(), _Series()
+        self._first_ns: int | None = None
+        self._used: list[_Sample] = []
+        self._strikes: list[Strike] = []
+        self._results: list[StrikeFit | FilterStep] = []
+
+    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
+        """One IMU sample: gyroscopes (3,) [rad/s] in the imu frame's axes, variances (3,), NaN: absent or unknown."""
+        newest = self._waiting[-1][0] if self._waiting else self._used[-1].time_ns if self._used else None
+        if newest is not None and time_ns <= newest:
+            return  # a repeated or late sample; the recorder's and the player's reports count those
+        self._first_ns = time_ns if self._first_ns is None else self._first_ns
+        rotated = imu_to_rear_frame(angular_velocity[None, :], self._orientation)[0]
+        self._waiting.append((time_ns, rotated, variance))
+        self._release(finished=False)
+
+    def add_speed(self, time_ns: int, speed: float) -> None:
+        """Forward speed [m/s]."""
+        self._speed.add(time_ns, speed)
+        self._release(finished=False)
+
+    def add_steer_torque(self, time_ns: int, steer_torque: float) -> None:
+        """Known steer torque [N m], SAE sign, held until the next one."""
+        self._torque.add(time_ns, steer_torque)
+        self._release(finished=False)
+
+    def finish(self) -> None:
+        """No more samples will come: use what waits and fit what is open."""
+        self._release(finished=True)
+        while self._strikes:
+            self._fit()
+
+    def results(self) -> list[StrikeFit | FilterStep]:
+        """What has become known since the last call, in order."""
+        results, self._results = self._results, []
+        return results
+
+    def _release(self, finished: bool) -> None:
+        while self._waiting:
+            time_ns, angular_velocity, variance = self._waiting[0]
+            if not finished and not self._complete(time_ns):
+                return
+            self._waiting.popleft()
+            speed = self._settings.fixed.get("speed", self._speed.at(time_ns))
+            self._use(_Sample(time_ns, angular_velocity, variance, speed, self._torque.at(time_ns)))
+
+    def _complete(self, time_ns: int) -> bool:
+        assert self._first_ns is not None
+        newest = self._waiting[-1][0]
+        if newest >= time_ns + PATIENCE:
+            return True
+        starting = time_ns < self._first_ns + PATIENCE  # which topics there are shows in the first half second
+        return all(
+            series.time[-1] >= time_ns if series.time else not starting for series in (self._speed, self._torque)
+        )
+
+    def _use(self, sample: _Sample) -> None:
+        self._used.append(sample)
+        strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
+        if strike is not None:
+            self._strikes.append(strike)
+        if self._filter is not None:
+            self._run_filter(sample, strike)
+        longest = round((self._settings.window + self._detector.latency) * NANOSECONDS)
+        while self._strikes and (len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest):
+            self._fit()
+        if not self._strikes and len(self._used) > 2000:
+            keep = sample.time_ns - 2 * NANOSECONDS
+            self._used = [one for one in self._used if one.time_ns > keep]
+            self._speed.forget(keep)
+            self._torque.forget(keep)
+
+    def _run_filter(self, sample: _Sample, strike: Strike | None) -> None:
+        """One step; a strike, known only some time after, is made good by filtering anew from its first sample on."""
+        assert self._filter is not None
+        first = len(self._used) - 1
+        if strike is not None:
+            self._filter.restart(strike=True)
+            first = next(index for index, one in enumerate(self._used) if one.time_ns >= strike.time_ns)
+        step: FilterStep | None = None
+        for index in range(first, len(self._used)):
+            one = self._used[index]
+            speed = one.speed if np.isfinite(one.speed) else self._nominal_speed
+            if not speed > 0.0:
+                return
+            step = self._filter.step(one.time_ns, one.angular_velocity, one.variance, speed, self._held_torque(index))
+        if step is not None:
+            self._results.append(step)
+
+    def _held_torque(self, index: int) -> float:
+        """Known torque [N m] since the sample before `index`, 0 when none is known."""
+        torque = self._used[index - 1].steer_torque if index else 0.0
+        return torque if np.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
+
+    def _fit(self) -> None:
+        """Fit the oldest open strike."""
+        strike = self._strikes.pop(0)
+        end_ns = strike.time_ns + round(self._settings.window * NANOSECONDS)
+        if self._strikes:
+            end_ns = min(end_ns, self._strikes[0].onset_ns)
+        samples = [one for one in self._used if strike.time_ns <= one.time_ns <= end_ns]
+        try:
+            window = make_window(
+                self._bicycle,
+                self._settings,
+                np.array([one.time_ns for one in samples]),
+                np.array([one.angular_velocity for one in samples]),
+                self._window_speed(samples),
+                self._window_torque(samples),
+            )
+        except ParameterError as error:
+            estimates = tuple(Estimate(name, "not_observable", str(error)) for name in self._settings.estimators)
+            self._results.append(StrikeFit(strike, samples[-1].time_ns, None, estimates))
+            return
+        free = self._free(window)
+        fixed = {name: value for name, value in self._settings.fixed.items() if name != "speed"}
+        if strike.sharp:
+            window = refine_start(window, free, fixed, (strike.time_ns - strike.before_ns) / 1e9)
+        estimates = tuple(ESTIMATORS[name](window, free, fixed) for name in self._settings.estimators)
+        self._results.append(StrikeFit(strike, samples[-1].time_ns, window, estimates))
+
+    def _window_speed(self, samples: list[_Sample]) -> float:
+        speeds = np.array([one.speed for one in samples])
+        if np.isfinite(speeds).any():
+            return float(np.nanmedian(speeds))
+        if not np.isfinite(self._nominal_speed):
+            raise ParameterError("speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V")
+        return self._nominal_speed
+
+    def _window_torque(self, samples: list[_Sample]) -> Array | None:
+        torque = np.array([one.steer_torque for one in samples])
+        return torque if np.isfinite(torque).any() else None
+
+    def _free(self, window: Window) -> tuple[str, ...]:
+        if self._settings.free is not None:
+            return self._settings.free
+        absent = [name for name, channel in zip(BIASES, window.measured.T, strict=True) if not np.isfinite(channel).any()]
+        return tuple(name for name in DEFAULT_FREE if name not in absent and name not in self._settings.fixed)

@@ -1,0 +1,81 @@
+"""The answer of `fit run`, as JSON that other tools rely on and as a table for the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tms_fit.estimate import Estimate
+from tms_fit.offline import RecordingFit
+from tms_fit.online import StrikeFit
+
+
+def to_json(fit: RecordingFit) -> dict[str, Any]:
+    """The document promised in docs/conventions.md; SI units and radians, SAE signs."""
+    start_ns = fit.recording.start_ns
+    return {
+        "bag": str(fit.recording.path),
+        "bicycle": fit.bicycle.name,
+        "start_ns": start_ns,
+        "strikes": [_strike(one) for one in fit.strikes],
+        "settings": {
+            "free": list(fit.settings.free) if fit.settings.free else None,
+            "fixed": dict(fit.settings.fixed),
+            "window": fit.settings.window,
+            "steer_torque": fit.settings.steer_torque,
+        },
+        "recording": dict(fit.recording.custom_data),
+    }
+
+
+def _strike(fit: StrikeFit) -> dict[str, Any]:
+    window = fit.window
+    return {
+        "time_ns": fit.start_ns,
+        "window": [fit.strike.time_ns, fit.end_ns],
+        "lean_rate_change": fit.strike.change,
+        "start_std": window.delay_std if window else None,
+        "speed": window.system.speed if window else None,
+        "lean_rate_gain": window.lean_rate_gain if window else None,
+        "estimates": [_estimate(one) for one in fit.estimates],
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "estimator": estimate.estimator,
+        "status": estimate.status,
+        "message": estimate.message,
+        "parameters": {
+            name: {"value": float(value), "std": float(std), "ci95": [float(low), float(high)]}
+            for name, value, std, (low, high) in zip(
+                estimate.names, estimate.values, estimate.std, estimate.ci95, strict=True
+            )
+        },
+        "vaf": estimate.vaf,
+        "sample_count": estimate.sample_count,
+        "residual_std": estimate.residual_std,
+    }
+
+
+def to_table(fit: RecordingFit) -> str:
+    """One line per strike and estimator."""
+    lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
+    if fit.strikes:
+        lines.append(f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}   VAF lean, yaw")
+    for strike in fit.strikes:
+        when = (strike.start_ns - fit.recording.start_ns) / 1e9
+        speed = f"{strike.window.system.speed:7.3f}" if strike.window else "      -"
+        for estimate in strike.estimates:
+            lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}")
+    return "\n".join(lines)
+
+
+def _in_words(estimate: Estimate) -> str:
+    if estimate.status != "ok":
+        return f"{estimate.status}: {estimate.message}"
+    vaf = ", ".join(f"{value:.3f}" for value in estimate.vaf.values())
+    if "initial_lean_rate" not in estimate.names:
+        return f"{', '.join(f'{name} {value:.5f}' for name, value in estimate.parameters.items())}   {vaf}"
+    index = estimate.names.index("initial_lean_rate")
+    low, high = estimate.ci95[index]
+    return f"{estimate.values[index]:+9.5f}  95 % [{low:+9.5f}, {high:+9.5f}]   {vaf}"

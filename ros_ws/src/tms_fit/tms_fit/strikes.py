@@ -1,0 +1,173 @@
+"""Strikes found from the lean rate alone, sample by sample, so that a live run and a recorded one find the same.
+
+A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle itself does. A change
+counts as a strike when, within `rise` seconds,
+
+1. it is larger than `least_change`, six times the noise, and the fading memory of the swings just before (a bicycle that
+   rings down swings less each time);
+2. it is steep: its steepest 0.1 s (less what noise feigns), kept up for 0.2 s, would make up the change; a weave oscillation
+   is rounder;
+3. the last strike is at least `refractory` seconds ago.
+
+The free response starts where the push ends: at the extremum of the smoothed lean rate, or where its level is first reached
+when it then stays. When one sample step holds more than half of the change, the strike fell between those two samples
+(`sharp`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_model.bicycle import Array
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class StrikeSettings:
+    """When a change of the lean rate is a strike."""
+
+    least_change: float = 0.15  # [rad/s]
+    rise: float = 0.3  # [s], longest push
+    refractory: float = 1.0  # [s], between the starts of two free responses
+    memory: float = 0.6  # [s], time constant with which earlier swings are forgotten
+    steepness: float = 0.95  # steepest slope over 0.1 s times 0.2 s, per change
+
+
+@dataclass(frozen=True)
+class Strike:
+    """One strike. Times are integer nanoseconds."""
+
+    time_ns: int  # first sample of the free response
+    before_ns: int  # last sample before it
+    onset_ns: int  # last sample before the lean rate began to change
+    change: float  # [rad/s], of the lean rate, by the strike
+    noise: float  # [rad/s], standard deviation of the lean rate's noise as seen just before
+    sharp: bool  # the strike fell between before_ns and time_ns
+
+
+class StrikeDetector:
+    """Finds strikes in a stream of lean rates. Same samples, same strikes, whoever feeds them."""
+
+    def __init__(self, settings: StrikeSettings | None = None) -> None:
+        self._settings = settings or StrikeSettings()
+        self._time: deque[int] = deque()  # [ns]
+        self._rate: deque[float] = deque()  # [rad/s]
+        self._memory: deque[float] = deque()  # fading memory of swings, after each sample
+        self._trigger_ns: int | None = None
+        self._last_ns: int | None = None
+
+    @property
+    def latency(self) -> float:
+        """Seconds after the start of a free response until it is reported, at most."""
+        return 2.0 * self._settings.rise
+
+    def push(self, time_ns: int, lean_rate: float) -> Strike | None:
+        """Take one sample (ascending times, [rad/s]); return the strike that this sample completes, if any."""
+        if not math.isfinite(lean_rate):
+            return None
+        if self._time and time_ns - self._time[-1] > self._settings.rise * NANOSECONDS:
+            self._forget()  # across a gap no change is known to be sudden
+        swing = self._swing(time_ns, lean_rate)
+        earlier = self._earlier_memory(time_ns)
+        self._append(time_ns, lean_rate, swing)
+        if self._trigger_ns is None:
+            if len(self._time) > 3 and swing > max(self._settings.least_change, 6.0 * self._noise(), earlier):
+                self._trigger_ns = time_ns
+            return None
+        if time_ns - self._trigger_ns < self._settings.rise * NANOSECONDS:
+            return None
+        trigger_ns, self._trigger_ns = self._trigger_ns, None
+        return self._judge(trigger_ns)
+
+    def _forget(self) -> None:
+        self._time.clear()
+        self._rate.clear()
+        self._memory.clear()
+        self._trigger_ns = None
+
+    def _swing(self, time_ns: int, lean_rate: float) -> float:
+        """Largest change from any sample of the last `rise` seconds to this one."""
+        since = time_ns - self._settings.rise * NANOSECONDS
+        recent = [rate for when, rate in zip(reversed(self._time), reversed(self._rate), strict=True) if when >= since]
+        return max((abs(lean_rate - rate) for rate in recent), default=0.0)
+
+    def _earlier_memory(self, time_ns: int) -> float:
+        """Memory of the swings as it stood before the present change can have begun, faded until now."""
+        since = time_ns - self._settings.rise * NANOSECONDS
+        for when, memory in zip(reversed(self._time), reversed(self._memory), strict=True):
+            if when < since:
+                return memory * math.exp(-(time_ns - when) / NANOSECONDS / self._settings.memory)
+        return 0.0
+
+    def _append(self, time_ns: int, lean_rate: float, swing: float) -> None:
+        if self._time:
+            fade = math.exp(-(time_ns - self._time[-1]) / NANOSECONDS / self._settings.memory)
+            swing = max(swing, self._memory[-1] * fade)
+        self._time.append(time_ns)
+        self._rate.append(lean_rate)
+        self._memory.append(swing)
+        while self._time[-1] - self._time[0] > 2 * NANOSECONDS:
+            self._time.popleft()
+            self._rate.popleft()
+            self._memory.popleft()
+
+    def _noise(self, until: int | None = None) -> float:
+        """Standard deviation of white noise on the lean rate, from the median absolute difference of neighbours."""
+        rates = np.array(self._rate)[:until]
+        if len(rates) < 10:
+            return 0.0
+        return float(1.4826 * np.median(np.abs(np.diff(rates)))) / math.sqrt(2.0)
+
+    def _judge(self, trigger_ns: int) -> Strike | None:
+        """The strike around a trigger, or None when the change was too round or too soon."""
+        time, rate = np.array(self._time), np.array(self._rate)
+        trigger = int(np.searchsorted(time, trigger_ns))
+        first = int(np.searchsorted(time, trigger_ns - self._settings.rise * NANOSECONDS))
+        base = first + int(np.argmax(np.abs(rate[trigger] - rate[first:trigger])))  # where the change is measured from
+        sign = math.copysign(1.0, rate[trigger] - rate[base])
+        noise = self._noise(trigger)
+        smooth = _moving_average(sign * rate, 5)
+        peak = trigger + int(np.argmax(smooth[trigger:]))
+        step = base + int(np.argmax(np.diff(sign * rate[base : peak + 1])))  # largest between neighbours: step, step + 1
+        sharp = sign * (rate[step + 1] - rate[step]) > 0.5 * (smooth[peak] - sign * rate[base])
+        start = step + 1 if sharp else self._top(time, smooth, base, peak, noise)
+        if self._last_ns is not None and time[start] - self._last_ns < self._settings.refractory * NANOSECONDS:
+            return None
+        change = float(rate[start] - rate[base])
+        around = slice(max(0, base - 5), start + 6)
+        if _steepest(time[around], rate[around], noise) * 0.2 < self._settings.steepness * abs(change):
+            return None
+        self._last_ns = int(time[start])
+        quiet = np.flatnonzero(sign * (rate[base:start] - rate[base]) <= 3.0 * noise)
+        onset = step if sharp else base + int(quiet[-1])
+        return Strike(int(time[start]), int(time[start - 1]), int(time[onset]), change, noise, bool(sharp))
+
+    @staticmethod
+    def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: float) -> int:
+        """Where the push ends: its extremum, or where the level was first reached when it then stays for over 50 ms."""
+        reached = base + int(np.argmax(smooth[base : peak + 1] >= smooth[peak] - 2.0 * noise / math.sqrt(5.0)))
+        return reached if time[peak] - time[reached] > 0.05 * NANOSECONDS else peak
+
+
+def _moving_average(values: Array, width: int) -> Array:
+    """Centred moving average, shorter at the ends; same length as values (n,)."""
+    kernel = np.ones(width)
+    return np.convolve(values, kernel, "same") / np.convolve(np.ones_like(values), kernel, "same")
+
+
+def _steepest(time_ns: NDArray[np.int64], rate: Array, noise: float) -> float:
+    """Largest least-squares slope [rad/s^2] over 0.1 s, less twice its standard deviation."""
+    seconds = (time_ns - time_ns[0]) / NANOSECONDS
+    slopes = [0.0]
+    for first in range(len(seconds) - 2):
+        last = int(np.searchsorted(seconds, seconds[first] + 0.1 + 1e-9))
+        if last - first < 3 or (last == len(seconds) and first > 0 and seconds[-1] - seconds[first] < 0.08):
+            break
+        x = seconds[first:last] - seconds[first:last].mean()
+        slopes.append(abs(float(x @ rate[first:last] / (x @ x))) - 2.0 * noise / math.sqrt(float(x @ x)))
+    return max(slopes)

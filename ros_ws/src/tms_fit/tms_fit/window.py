@@ -1,0 +1,87 @@
+"""The stretch of a recording after one strike, ready to be compared with the bicycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_model import Bicycle, LinearSystem, linear_system
+from tms_model.bicycle import Array
+from tms_model.imu import lean_and_yaw_rate
+
+from tms_fit.settings import FitSettings
+
+FEEDBACK_R2 = 0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Free response after a strike. SAE signs; NaN marks what was not measured.
+
+    The free response starts `delay` before the first sample; every estimator holds its initial state at that instant.
+    """
+
+    first_ns: int  # stamp of the first sample
+    time: Array  # (n,) [s] since the first sample
+    lean_rate: Array  # (n,) [rad/s]
+    yaw_rate: Array  # (n,) [rad/s]
+    system: LinearSystem  # the bicycle at this window's speed, feedback included
+    steer_torque: Array | None  # (n,) [N m] known input, each value held until the next sample
+    lean_rate_gain: float  # [N m s/rad] lean-rate feedback on the steer torque, 0: none
+    torque_r2: float  # share of the known torque that is proportional to the lean rate, NaN: no torque known
+    delay: float = 0.0  # [s]
+    delay_std: float = 0.0  # [s]
+
+    @property
+    def start_ns(self) -> int:
+        """Start of the free response."""
+        return self.first_ns - round(self.delay * 1e9)
+
+    @property
+    def measured(self) -> Array:
+        """Both channels (n, 2): lean rate, yaw rate."""
+        return np.stack([self.lean_rate, self.yaw_rate], axis=1)
+
+
+def make_window(
+    bicycle: Bicycle,
+    settings: FitSettings,
+    time_ns: NDArray[np.int64],
+    angular_velocity: Array,
+    speed: float,
+    steer_torque: Array | None,
+) -> Window:
+    """Window from the samples of one free response.
+
+    time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; speed [m/s]; steer_torque (n,) [N m] or None.
+    """
+    time = (time_ns - time_ns[0]) / 1e9
+    lean_rate = angular_velocity[:, 0]
+    lean_rate, yaw_rate = lean_and_yaw_rate(angular_velocity, _integral(time, np.nan_to_num(lean_rate)))
+    gain, r2 = 0.0, float("nan")
+    if steer_torque is not None and settings.steer_torque != "ignore":
+        gain, r2 = _feedback(steer_torque, lean_rate)
+        if settings.steer_torque == "feedback" or (settings.steer_torque == "auto" and r2 >= FEEDBACK_R2):
+            steer_torque = None
+        else:
+            gain = 0.0
+    else:
+        steer_torque = None
+    system = linear_system(bicycle, speed, gain)
+    return Window(int(time_ns[0]), time, lean_rate, yaw_rate, system, steer_torque, gain, r2)
+
+
+def _integral(time: Array, values: Array) -> Array:
+    """Running trapezoidal integral, zero at the first sample. The lean angle it gives needs first-order accuracy only."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+
+
+def _feedback(torque: Array, lean_rate: Array) -> tuple[float, float]:
+    """Slope [N m s/rad] of the torque over the lean rate through the origin, and the share of the torque it explains."""
+    good = np.isfinite(torque) & np.isfinite(lean_rate)
+    t, y = torque[good], lean_rate[good]
+    if not t.any() or not y.any():
+        return 0.0, float("nan")
+    gain = float(t @ y / (y @ y))
+    return gain, 1.0 - float(np.sum((t - gain * y) ** 2) / np.sum(t**2))

@@ -1,0 +1,63 @@
+"""Command line of the simulator: python -m tms_sim, or ./tms sim."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from tms_bag import BagWriter, RecordingError, topics
+from tms_model import ParameterError
+from tms_model.command_line import Parser, print_json, run
+
+from tms_sim.run import simulate
+from tms_sim.scenario import description, load_scenario, parse_change, scenario_names
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Parse the arguments and answer. Raises ParameterError and RecordingError."""
+    arguments = _parser().parse_args(argv)
+    if arguments.command == "list":
+        _list(arguments)
+    else:
+        _run(arguments)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="tms sim", description="Makes runs: a bicycle, a strike, sensors.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("list", help="scenarios", description="scenarios")
+    one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    one = commands.add_parser("run", help="run a scenario into a bag", description="run a scenario into a bag")
+    one.add_argument("scenario", help="name (see `list`) or .yaml file")
+    one.add_argument("-o", "--output", required=True, help="bag folder to make")
+    one.add_argument("--seed", type=int, help="seed of all noise (default: the scenario's)")
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a key, e.g. strike.time=1.5")
+    one.add_argument("--force", action="store_true", help="replace the bag if it exists")
+    return parser
+
+
+def _list(arguments: argparse.Namespace) -> None:
+    scenarios = {name: description(name) for name in scenario_names()}
+    if arguments.json:
+        return print_json({"scenarios": [{"name": name, "description": text} for name, text in scenarios.items()]})
+    for name, text in scenarios.items():
+        print(f"{name:18} {text}")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    changes = dict(parse_change(text) for text in arguments.set)
+    if arguments.seed is not None:
+        changes["seed"] = arguments.seed
+    scenario = load_scenario(arguments.scenario, changes)
+    result = simulate(scenario, np.random.default_rng(scenario.integer("seed")))
+    with BagWriter(arguments.output, custom_data=result.custom_data(), overwrite=arguments.force) as bag:
+        for record in result.records():
+            bag.write(record, topics.QOS[record.topic.removeprefix("/")])
+    if result.fallen_at is not None:
+        print(f"the bicycle falls {result.fallen_at:.2f} s after the start; the run ends there", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, (ParameterError, RecordingError)))
