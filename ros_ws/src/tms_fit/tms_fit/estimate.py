@@ -13,6 +13,7 @@ from tms_fit.window import Window
 
 LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns
 LEAST_SPAN = 0.25  # [s]
+COLOURED = 0.3  # lag-one autocorrelation of the residuals above which they are called coloured
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,7 @@ class Estimate:
     residual_std: float = float("nan")  # [rad/s]
     vaf: dict[str, float] = field(default_factory=dict)  # per channel, 1 is perfect
     sample_count: int = 0  # scalar measurements used
+    residual_autocorrelation: float = float("nan")  # at lag one, of the channel where it is largest; 0 when white
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -55,6 +57,27 @@ def variance_accounted_for(window: Window, predicted: Array) -> dict[str, float]
         if good.sum() > 1 and np.var(measured[good]) > 0.0:
             answer[channel] = float(1.0 - np.var(measured[good] - model[good]) / np.var(measured[good]))
     return answer
+
+
+def lag_one_autocorrelation(window: Window, predicted: Array) -> float:
+    """Autocorrelation of neighbouring residuals, of the channel where it is largest: near 0 when the model is right."""
+    worst = float("nan")
+    for residual in (window.measured - predicted).T:
+        residual = residual[np.isfinite(residual)]
+        if len(residual) > 2 and residual.any():
+            centred = residual - residual.mean()
+            worst = float(np.fmax(worst, centred[1:] @ centred[:-1] / (centred @ centred)))
+    return worst
+
+
+def caution(autocorrelation: float) -> str:
+    """What to add to the message when the residuals are not white."""
+    if not autocorrelation > COLOURED:
+        return ""
+    return (
+        f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses something"
+        " and the interval is too narrow"
+    )
 
 
 def too_short(window: Window, free: tuple[str, ...]) -> str:

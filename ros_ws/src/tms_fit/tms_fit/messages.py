@@ -37,7 +37,11 @@ def filter_state_record(step: FilterStep) -> Record:
 
 def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
     key_value = message_type("diagnostic_msgs/msg/KeyValue")
-    diagnostics = {"residual_std": estimate.residual_std, "start_std": 0.0}
+    diagnostics = {
+        "residual_std": estimate.residual_std,
+        "residual_autocorrelation": estimate.residual_autocorrelation,
+        "start_std": 0.0,
+    }
     if fit.window is not None:
         diagnostics["start_std"] = fit.window.delay_std
         diagnostics["speed"] = fit.window.system.speed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import COLOURED, Estimate
 from tms_fit.offline import RecordingFit
 from tms_fit.online import StrikeFit
 
@@ -54,6 +54,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
         "vaf": estimate.vaf,
         "sample_count": estimate.sample_count,
         "residual_std": estimate.residual_std,
+        "residual_autocorrelation": estimate.residual_autocorrelation,
     }
 
 
@@ -67,6 +68,11 @@ def to_table(fit: RecordingFit) -> str:
         speed = f"{strike.window.system.speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}")
+    coloured = sum(one.residual_autocorrelation > COLOURED for strike in fit.strikes for one in strike.estimates)
+    if coloured:
+        lines.append(
+            f"{coloured} of these estimates leave residuals that are not white: their intervals are too narrow (see docs/conventions.md)"
+        )
     return "\n".join(lines)
 
 

@@ -19,7 +19,7 @@ from tms_model import discretise
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
-from tms_fit.estimate import Estimate, too_short, variance_accounted_for
+from tms_fit.estimate import Estimate, caution, lag_one_autocorrelation, too_short, variance_accounted_for
 from tms_fit.estimators.least_squares import measured_channels, sensitivity, solve
 from tms_fit.prediction import predictor
 from tms_fit.settings import BIASES, INITIAL
@@ -48,18 +48,21 @@ def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> 
     if window.delay_std:
         shift = sensitivity(window, lambda moved: _smooth(moved, prior, fixed, noise_used)[0])
         covariance = covariance + np.outer(shift, shift) * window.delay_std**2
-    parameters = {**fixed, **dict(zip(free, values, strict=True))}
+    predicted = predictor(window).predict({**fixed, **dict(zip(free, values, strict=True))})
+    autocorrelation = lag_one_autocorrelation(window, predicted)
     return Estimate(
         estimator="kalman_rts",
         status="ok",
-        message=f"Kalman filter on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s, smoothed back",
+        message=f"Kalman filter on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s,"
+        f" smoothed back{caution(autocorrelation)}",
         names=free,
         values=values,
         covariance=covariance,
         degrees_of_freedom=degrees,
         residual_std=noise,
-        vaf=variance_accounted_for(window, predictor(window).predict(parameters)),
+        vaf=variance_accounted_for(window, predicted),
         sample_count=solution.count,
+        residual_autocorrelation=autocorrelation,
     )
 
 

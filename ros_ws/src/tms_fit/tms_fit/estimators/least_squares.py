@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from tms_model.bicycle import Array
 
-from tms_fit.estimate import Estimate, too_short, variance_accounted_for
+from tms_fit.estimate import Estimate, caution, lag_one_autocorrelation, too_short, variance_accounted_for
 from tms_fit.prediction import predictor
 from tms_fit.settings import CHANNELS
 from tms_fit.window import Window
@@ -46,18 +46,20 @@ def estimate(
     if window.delay_std:
         shift = sensitivity(window, lambda moved: solve(moved, free, fixed).values)
         covariance = covariance + np.outer(shift, shift) * window.delay_std**2
-    parameters = {**fixed, **dict(zip(free, solution.values, strict=True))}
+    predicted = predictor(window).predict({**fixed, **dict(zip(free, solution.values, strict=True))})
+    autocorrelation = lag_one_autocorrelation(window, predicted)
     return Estimate(
         estimator=name,
         status="ok",
-        message=f"linear least squares on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s",
+        message=f"linear least squares on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s{caution(autocorrelation)}",
         names=free,
         values=solution.values,
         covariance=covariance,
         degrees_of_freedom=degrees,
         residual_std=float(np.sqrt(variance)),
-        vaf=variance_accounted_for(window, predictor(window).predict(parameters)),
+        vaf=variance_accounted_for(window, predicted),
         sample_count=solution.count,
+        residual_autocorrelation=autocorrelation,
     )
 
 
