@@ -1,0 +1,1 @@
+"""ROS nodes: the only place of this package that knows rclpy and message classes."""

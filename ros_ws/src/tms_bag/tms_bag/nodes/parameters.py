@@ -1,0 +1,46 @@
+"""Parameters of nodes: declared with description, unit and range, refused with a reason if they don't fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from tms_model import ParameterError
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    low: float | None = None,
+    high: float | None = None,
+    read_only: bool = True,
+) -> Any:
+    """Declare a parameter and return its value.
+
+    Numbers have a range from `low` to `high`, which ROS keeps to at any time. ParameterError if the value at
+    start-up has the wrong type or is out of range.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=read_only)
+    if isinstance(default, float) and low is not None and high is not None:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+    elif isinstance(default, int) and not isinstance(default, bool) and low is not None and high is not None:
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    try:
+        return node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        expected = f"expected {description}" + (f", from {low:g} to {high:g}" if low is not None else "")
+        raise ParameterError(f"parameter {name}: {expected}; {error}") from error
+
+
+def declare_names(node: Node, name: str, description: str) -> list[str]:
+    """Declare a list of topic names, return their full names. ParameterError if one can't be a name."""
+    # An empty list has no type for ROS; a list of one empty text stands for it.
+    values = declare(node, name, [""], description)
+    try:
+        return [node.resolve_topic_name(value) for value in values if value]
+    except Exception as error:  # rclpy raises classes of its C++ part, which have no common base
+        raise ParameterError(f"parameter {name}: expected topic names, found {values}: {error}") from error

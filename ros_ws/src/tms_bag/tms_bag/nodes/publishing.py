@@ -1,0 +1,74 @@
+"""Publishers for the topics of a bag."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from tms_bag.errors import RecordingError
+from tms_bag.nodes.interfaces import message_class, offered_profile
+from tms_bag.reader import BagReader
+
+Publishers = dict[str, Any]  # by topic
+
+
+def make_publishers(node: Node, bag: BagReader, chosen: list[str], left_out: tuple[str, ...]) -> Publishers:
+    """A publisher for each chosen topic (none chosen: all), with the quality of service that was recorded.
+
+    RecordingError if a chosen topic isn't in the bag or its type isn't installed; otherwise such a type is
+    only warned about.
+    """
+    counts = {topic.name: topic.count for topic in bag.topics}
+    missing = [name for name in chosen if name not in counts]
+    if missing:
+        there = ", ".join(sorted(counts)) or "none"
+        raise RecordingError(f"{bag.path}: no topic {', '.join(missing)}; there are: {there}")
+    publishers: Publishers = {}
+    for channel in bag.channels:
+        if (chosen and channel.name not in chosen) or channel.name in left_out or channel.name in publishers:
+            continue
+        try:
+            kind = message_class(channel.type)
+        except RecordingError as error:
+            if chosen:
+                raise
+            node.get_logger().warning(f"{channel.name} is not played: {error}")
+            continue
+        profile = offered_profile(channel.qos, counts[channel.name])
+        publishers[channel.name] = node.create_publisher(kind, channel.name, profile)
+    return publishers
+
+
+def subscription_count(publishers: Publishers) -> int:
+    """Subscriptions that match, of all topics together."""
+    return sum(int(publisher.get_subscription_count()) for publisher in publishers.values())
+
+
+def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, context: Context) -> None:
+    """Return when `wanted` subscriptions match: messages sent before are lost for them.
+
+    RecordingError after `timeout` [s], ExternalShutdownException when a signal comes first.
+    """
+    deadline = time.monotonic() + timeout
+    while (found := subscription_count(publishers)) < wanted:
+        if not context.ok():
+            raise ExternalShutdownException
+        if time.monotonic() > deadline:
+            raise RecordingError(
+                f"expected {wanted} subscriptions within {timeout:g} s, found {found};"
+                " start the subscribers first, or lower wait_for_subscribers"
+            )
+        time.sleep(0.01)
+
+
+def latched_topics(bag: BagReader) -> set[str]:
+    """Topics whose publishers kept their messages for late joiners."""
+    return {
+        channel.name
+        for channel in bag.channels
+        if any(qos.durability == "transient_local" for qos in channel.qos)
+    }
