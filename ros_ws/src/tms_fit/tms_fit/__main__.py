@@ -26,14 +26,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     else:
         estimator = arguments.estimator[0] if arguments.estimator else "least_squares"
         fit = _fit(arguments, (estimator,))
-        from tms_fit.figure3b import figure_3b  # matplotlib takes a second to import: only who plots pays for it
         from tms_model.plot import save_figure
+
+        from tms_fit.figure3b import (
+            figure_3b,
+        )  # matplotlib takes a second to import: only who plots pays for it
 
         save_figure(figure_3b(fit, arguments.strike), Path(arguments.output))
 
 
 def _parser() -> Parser:
-    parser = Parser(prog="tms fit", description="Reads a run: strikes, initial lean rate, measured against predicted.")
+    parser = Parser(
+        prog="tms fit", description="Reads a run: strikes, initial lean rate, measured against predicted."
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     texts = {
         "run": "find the strikes of a bag and fit each",
@@ -42,18 +47,34 @@ def _parser() -> Parser:
     for name, text in texts.items():
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("bag", help="bag folder or .mcap file")
-        command.add_argument("--bicycle", help="catalogue name or .yaml file (default: the one the bag names)")
         command.add_argument(
-            "--estimator", action="append", choices=list(ESTIMATORS), help="may be repeated (default: least_squares, kalman_rts)"
+            "--bicycle", help="catalogue name or .yaml file (default: the one the bag names)"
         )
         command.add_argument(
-            "--free", type=_names, metavar="NAME,...", help=f"of {', '.join(LINEAR)} (default: {','.join(DEFAULT_FREE)})"
+            "--estimator",
+            action="append",
+            choices=list(ESTIMATORS),
+            help="may be repeated (default: least_squares, kalman_rts)",
         )
         command.add_argument(
-            "--fix", action="append", default=[], type=_assignment, metavar="NAME=VALUE", help="a parameter, or speed [m/s]"
+            "--free",
+            type=_names,
+            metavar="NAME,...",
+            help=f"of {', '.join(LINEAR)} (default: {','.join(DEFAULT_FREE)})",
         )
         command.add_argument(
-            "--window", type=float, default=FitSettings.window, help="longest free response used [s] (default %(default)s)"
+            "--fix",
+            action="append",
+            default=[],
+            type=_assignment,
+            metavar="NAME=VALUE",
+            help="a parameter, or speed [m/s]",
+        )
+        command.add_argument(
+            "--window",
+            type=float,
+            default=FitSettings.window,
+            help="longest free response used [s] (default %(default)s)",
         )
         command.add_argument(
             "--steer-torque",
@@ -68,7 +89,9 @@ def _parser() -> Parser:
             command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
         else:
             command.add_argument("-o", "--output", required=True, help="file to write, .png, .svg or .pdf")
-            command.add_argument("--strike", type=int, default=1, help="which strike, counted from 1 (default 1)")
+            command.add_argument(
+                "--strike", type=int, default=1, help="which strike, counted from 1 (default 1)"
+            )
     return parser
 
 

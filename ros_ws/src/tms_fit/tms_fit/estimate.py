@@ -30,7 +30,9 @@ class Estimate:
     residual_std: float = float("nan")  # [rad/s]
     vaf: dict[str, float] = field(default_factory=dict)  # per channel, 1 is perfect
     sample_count: int = 0  # scalar measurements used
-    residual_autocorrelation: float = float("nan")  # at lag one, of the channel where it is largest; 0 when white
+    residual_autocorrelation: float = float(
+        "nan"
+    )  # at lag one, of the channel where it is largest; 0 when white
 
     @property
     def parameters(self) -> dict[str, float]:

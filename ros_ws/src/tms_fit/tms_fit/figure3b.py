@@ -1,7 +1,7 @@
 """Measured and predicted lean and yaw rate after a strike, in the arrangement of Figure 3B of Kooijman et al. 2011.
 
-The supplement (doi 10.1126/science.1201959) says what that figure shows: measured and simulated lean rate and yaw rate of the
-rear frame. The measurement here is always the recording at hand.
+The supplement (doi 10.1126/science.1201959) says what that figure shows: measured and simulated lean rate and
+yaw rate of the rear frame. The measurement here is always the recording at hand.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
     strike = fit.strikes[number - 1]
     good = [one for one in strike.estimates if one.status == "ok"]
     if strike.window is None or not good:
-        raise RecordingError(f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}")
+        raise RecordingError(
+            f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}"
+        )
     return _draw(fit, strike, strike.window, good[0], number)
 
 
@@ -56,7 +58,7 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
     for channel, (axes, name) in enumerate(((upper, "lean rate [rad/s]"), (lower, "yaw rate [rad/s]"))):
         axes.axvspan(0.0, end, color="#F0E442", alpha=0.18, lw=0, label="used for the fit")
         axes.plot(before_time, before[:, channel], ".", ms=3, color=MEASURED)
-        axes.plot(seconds, shown.measured[:, channel], ".", ms=3, color=MEASURED, label="measured")
+        axes.plot(seconds, shown.measured[:, channel], ".", ms=3, color=MEASURED, label=_source(fit))
         axes.fill_between(
             seconds,
             predicted[:, channel] - half[:, channel],
@@ -74,21 +76,27 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
             _say_absent(axes)
     handles, labels = upper.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    lower.set(xlabel="time since the start of the free response [s]", xlim=(-BEFORE, min(float(seconds[-1]), AFTER)))
+    lower.set(
+        xlabel="time since the start of the free response [s]", xlim=(-BEFORE, min(float(seconds[-1]), AFTER))
+    )
     upper.set_title(_title(fit, used, estimate, number), fontsize=10)
     return figure
 
 
 def _title(fit: RecordingFit, used: Window, estimate: Estimate, number: int) -> str:
     name = "initial_lean_rate"
-    info = fit.recording.run_info
-    kind = "simulated run" if info is not None and info.simulated else "recorded run"
-    text = f"{kind} {fit.recording.path.name}, strike {number}: {fit.bicycle.name} at {used.system.speed:.2f} m/s"
+    text = f"{_source(fit)} run {fit.recording.path.name}, strike {number}: {fit.bicycle.name} at {used.system.speed:.2f} m/s"
     if name in estimate.names:
         index = estimate.names.index(name)
         half = 0.5 * float(estimate.ci95[index, 1] - estimate.ci95[index, 0])
         text += f"\ninitial lean rate {estimate.values[index]:.4f} ± {half:.4f} rad/s (95 %, {estimate.estimator.replace('_', ' ')})"
     return text
+
+
+def _source(fit: RecordingFit) -> str:
+    """No simulated sample may pass for a measured one."""
+    info = fit.recording.run_info
+    return "simulated" if info is not None and info.simulated else "measured"
 
 
 def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
@@ -111,7 +119,9 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
 def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
     """Times (n,) [s] and both channels (n, 2) just before the free response; upright enough to take the gyroscopes as they are."""
     imu = fit.recording.imu
-    rows = np.flatnonzero((imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns))
+    rows = np.flatnonzero(
+        (imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns)
+    )
     rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording))
     return (imu.time_ns[rows] - strike.start_ns) / 1e9, rates[:, [0, 2]]
 
@@ -121,4 +131,12 @@ def _t_factor(estimate: Estimate) -> float:
 
 
 def _say_absent(axes: Axes) -> None:
-    axes.text(0.5, 0.9, "not measured in this recording", transform=axes.transAxes, ha="center", va="top", style="italic")
+    axes.text(
+        0.5,
+        0.9,
+        "not measured in this recording",
+        transform=axes.transAxes,
+        ha="center",
+        va="top",
+        style="italic",
+    )

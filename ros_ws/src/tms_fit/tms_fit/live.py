@@ -1,7 +1,7 @@
 """A live fit over messages as they arrive: bytes in, messages out. The estimator node only carries them.
 
-Until the bicycle is known (from `run_info`, or given), messages wait. When time jumps back or a new run is announced, the fit
-begins anew.
+Until the bicycle is known (from `run_info`, or given), messages wait. When time jumps back or a new run is
+announced, the fit begins anew.
 """
 
 from __future__ import annotations

@@ -16,7 +16,10 @@ FILTER_STATE, FILTER_STATE_TYPE = "filter_state", "tms_msgs/msg/FilterState"
 
 def estimate_records(fit: StrikeFit, bicycle: str) -> list[Record]:
     """One record per estimator on the topic `estimate`, stamped with the start of the free response."""
-    return [Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, _estimate(fit, one, bicycle)) for one in fit.estimates]
+    return [
+        Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, _estimate(fit, one, bicycle))
+        for one in fit.estimates
+    ]
 
 
 def filter_state_record(step: FilterStep) -> Record:
@@ -68,7 +71,9 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
 
 
 def _time(time_ns: int):  # type: ignore[no-untyped-def]
-    return message_type("builtin_interfaces/msg/Time")(sec=time_ns // 1_000_000_000, nanosec=time_ns % 1_000_000_000)
+    return message_type("builtin_interfaces/msg/Time")(
+        sec=time_ns // 1_000_000_000, nanosec=time_ns % 1_000_000_000
+    )
 
 
 def _header(time_ns: int):  # type: ignore[no-untyped-def]

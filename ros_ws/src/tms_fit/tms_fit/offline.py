@@ -31,7 +31,9 @@ def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
     """The bicycle asked for, else the one that the recording names. Raises RecordingError when neither does."""
     found = name or (recording.run_info.bicycle if recording.run_info else "")
     if not found:
-        raise RecordingError(f"{recording.path}: expected a run_info that names the bicycle, found none; use --bicycle NAME")
+        raise RecordingError(
+            f"{recording.path}: expected a run_info that names the bicycle, found none; use --bicycle NAME"
+        )
     return load_bicycle(found)
 
 
@@ -40,8 +42,14 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
     info = recording.run_info
     nominal = info.speed if info else float("nan")
     if recording.speed is None and "speed" not in settings.fixed and not np.isfinite(nominal):
-        raise RecordingError(f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s]")
-    if recording.speed is not None and "speed" not in settings.fixed and not (recording.speed.speed > 0.0).any():
+        raise RecordingError(
+            f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s]"
+        )
+    if (
+        recording.speed is not None
+        and "speed" not in settings.fixed
+        and not (recording.speed.speed > 0.0).any()
+    ):
         raise RecordingError(
             f"{recording.path}: expected a positive forward speed, found at most {np.nanmax(recording.speed.speed):g} m/s;"
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
@@ -49,9 +57,18 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
     online = OnlineFit(bicycle, settings, orientation_of(recording), nominal, running_filter=False)
     feed(online, recording)
     if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
-        raise RecordingError(f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN")
+        raise RecordingError(
+            f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN"
+        )
     strikes = [result for result in online.results() if isinstance(result, StrikeFit)]
     return RecordingFit(recording, bicycle, settings, tuple(strikes))
+
+
+def first_stamp(recording: Recording) -> int:
+    """Earliest header stamp of the samples [ns]; log times may follow another clock."""
+    series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw, recording.state)
+    stamps = [int(one.time_ns[0]) for one in series if one is not None and len(one.time_ns)]
+    return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
 
 
 def orientation_of(recording: Recording) -> Array:

@@ -1,7 +1,7 @@
 """Strikes and fits from samples as they come. A live run, a replayed bag and `fit run` all go through this one class.
 
-What comes out depends on the samples and their time stamps alone, not on how the topics interleave: an IMU sample is used
-once speed and steer torque are known up to its time, or are late by more than `PATIENCE`.
+What comes out depends on the samples and their time stamps alone, not on how the topics interleave: an IMU
+sample is used once speed and steer torque are known up to its time, or are late by more than `PATIENCE`.
 """
 
 from __future__ import annotations
@@ -144,9 +144,12 @@ class OnlineFit:
         newest = self._waiting[-1][0]
         if newest >= time_ns + PATIENCE:
             return True
-        starting = time_ns < self._first_ns + PATIENCE  # which topics there are shows in the first half second
+        starting = (
+            time_ns < self._first_ns + PATIENCE
+        )  # which topics there are shows in the first half second
         return all(
-            series.time[-1] >= time_ns if series.time else not starting for series in (self._speed, self._torque)
+            series.time[-1] >= time_ns if series.time else not starting
+            for series in (self._speed, self._torque)
         )
 
     def _use(self, sample: _Sample) -> None:
@@ -157,7 +160,9 @@ class OnlineFit:
         if self._filter is not None:
             self._run_filter(sample, strike)
         longest = round((self._settings.window + self._detector.latency) * NANOSECONDS)
-        while self._strikes and (len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest):
+        while self._strikes and (
+            len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest
+        ):
             self._fit()
         if not self._strikes and len(self._used) > 2000:
             keep = sample.time_ns - 2 * NANOSECONDS
@@ -178,7 +183,9 @@ class OnlineFit:
             speed = one.speed if np.isfinite(one.speed) else self._nominal_speed
             if not speed > 0.0:
                 return
-            step = self._filter.step(one.time_ns, one.angular_velocity, one.variance, speed, self._held_torque(index))
+            step = self._filter.step(
+                one.time_ns, one.angular_velocity, one.variance, speed, self._held_torque(index)
+            )
         if step is not None:
             self._results.append(step)
 
@@ -204,7 +211,9 @@ class OnlineFit:
                 self._window_torque(samples),
             )
         except ParameterError as error:
-            estimates = tuple(Estimate(name, "not_observable", str(error)) for name in self._settings.estimators)
+            estimates = tuple(
+                Estimate(name, "not_observable", str(error)) for name in self._settings.estimators
+            )
             self._results.append(StrikeFit(strike, samples[-1].time_ns, None, estimates))
             return
         free = self._free(window)
@@ -219,7 +228,9 @@ class OnlineFit:
         if np.isfinite(speeds).any():
             return float(np.nanmedian(speeds))
         if not np.isfinite(self._nominal_speed):
-            raise ParameterError("speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V")
+            raise ParameterError(
+                "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"
+            )
         return self._nominal_speed
 
     def _window_torque(self, samples: list[_Sample]) -> Array | None:
@@ -229,5 +240,9 @@ class OnlineFit:
     def _free(self, window: Window) -> tuple[str, ...]:
         if self._settings.free is not None:
             return self._settings.free
-        absent = [name for name, channel in zip(BIASES, window.measured.T, strict=True) if not np.isfinite(channel).any()]
+        absent = [
+            name
+            for name, channel in zip(BIASES, window.measured.T, strict=True)
+            if not np.isfinite(channel).any()
+        ]
         return tuple(name for name in DEFAULT_FREE if name not in absent and name not in self._settings.fixed)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from tms_fit.estimate import COLOURED, Estimate
-from tms_fit.offline import RecordingFit
+from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
 
 
 def to_json(fit: RecordingFit) -> dict[str, Any]:
     """The document promised in docs/conventions.md; SI units and radians, SAE signs."""
-    start_ns = fit.recording.start_ns
+    start_ns = first_stamp(fit.recording)
     return {
         "bag": str(fit.recording.path),
         "bicycle": fit.bicycle.name,
@@ -62,13 +62,17 @@ def to_table(fit: RecordingFit) -> str:
     """One line per strike and estimator."""
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
     if fit.strikes:
-        lines.append(f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}   VAF lean, yaw")
+        lines.append(
+            f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}   VAF lean, yaw"
+        )
     for strike in fit.strikes:
-        when = (strike.start_ns - fit.recording.start_ns) / 1e9
+        when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
         speed = f"{strike.window.system.speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}")
-    coloured = sum(one.residual_autocorrelation > COLOURED for strike in fit.strikes for one in strike.estimates)
+    coloured = sum(
+        one.residual_autocorrelation > COLOURED for strike in fit.strikes for one in strike.estimates
+    )
     if coloured:
         lines.append(
             f"{coloured} of these estimates leave residuals that are not white: their intervals are too narrow (see docs/conventions.md)"

@@ -1,7 +1,7 @@
 """Kalman filter that runs along with the measurement: state, innovation and NIS after every sample.
 
-Unlike the estimator `kalman_rts`, which knows that nothing disturbs the bicycle after a strike, this one allows for
-disturbances (white torques about both axes), so that it can follow a real bicycle.
+Unlike the estimator `kalman_rts`, which knows that nothing disturbs the bicycle after a strike, this one
+allows for disturbances (white torques about both axes), so that it can follow a real bicycle.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class RunningFilter:
         self._time_ns = None
         self._first_std = STRIKE_STD if strike else FIRST_STD
 
-    def step(self, time_ns: int, angular_velocity: Array, variance: Array, speed: float, steer_torque: float) -> FilterStep:
+    def step(
+        self, time_ns: int, angular_velocity: Array, variance: Array, speed: float, steer_torque: float
+    ) -> FilterStep:
         """Use one sample: gyroscopes (3,) [rad/s] in SAE axes of the rear frame, their variances (3,), NaN: unknown.
 
         speed [m/s] positive; steer_torque [N m] since the last sample, 0 when none is known.
@@ -97,5 +99,13 @@ class RunningFilter:
             spread[np.ix_(good, good)] = kalman.S
             nis = float((kalman.y.T @ kalman.SI @ kalman.y).item())
         return FilterStep(
-            time_ns, kalman.x[:, 0].copy(), kalman.P.copy(), innovation, spread, nis, int(good.sum()), reset, speed
+            time_ns,
+            kalman.x[:, 0].copy(),
+            kalman.P.copy(),
+            innovation,
+            spread,
+            nis,
+            int(good.sum()),
+            reset,
+            speed,
         )

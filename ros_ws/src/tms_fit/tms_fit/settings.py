@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from tms_model import ParameterError
 from tms_model.response import STATE
 
-INITIAL = tuple(f"initial_{name}" for name in STATE)  # initial_lean, initial_steer, initial_lean_rate, initial_steer_rate
+INITIAL = tuple(
+    f"initial_{name}" for name in STATE
+)  # initial_lean, initial_steer, initial_lean_rate, initial_steer_rate
 BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
 CHANNELS = ("lean_rate", "yaw_rate")
 LINEAR = (*INITIAL, *BIASES)
@@ -23,9 +25,13 @@ class FitSettings:
     """
 
     free: tuple[str, ...] | None = None  # None: DEFAULT_FREE, without the bias of a channel that is not there
-    fixed: dict[str, float] = field(default_factory=dict)  # SI; `speed` and any linear parameter; others are 0
+    fixed: dict[str, float] = field(
+        default_factory=dict
+    )  # SI; `speed` and any linear parameter; others are 0
     window: float = 1.5  # [s], longest free response used
-    gyroscope_noise: float = 0.02  # [rad/s], standard deviation where the recording does not state it (running filter)
+    gyroscope_noise: float = (
+        0.02  # [rad/s], standard deviation where the recording does not state it (running filter)
+    )
     steer_torque: str = "auto"  # how a known steer torque enters: auto, feedback, input, ignore
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
@@ -45,7 +51,9 @@ class FitSettings:
         if not 0.3 <= self.window <= 60.0:
             raise ParameterError(f"window: expected 0.3 to 60 s, found {self.window:g}")
         if not (math.isfinite(self.gyroscope_noise) and self.gyroscope_noise > 0.0):
-            raise ParameterError(f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}")
+            raise ParameterError(
+                f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"
+            )
 
 
 def _known(names: object, expected: tuple[str, ...], what: str) -> None:

@@ -1,7 +1,7 @@
 """Strikes found from the lean rate alone, sample by sample, so that a live run and a recorded one find the same.
 
-A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle itself does. A change
-counts as a strike when, within `rise` seconds,
+A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle itself
+does. A change counts as a strike when, within `rise` seconds,
 
 1. it is larger than `least_change`, six times the noise, and the fading memory of the swings just before (a bicycle that
    rings down swings less each time);
@@ -9,9 +9,9 @@ counts as a strike when, within `rise` seconds,
    is rounder;
 3. the last strike is at least `refractory` seconds ago.
 
-The free response starts where the push ends: at the extremum of the smoothed lean rate, or where its level is first reached
-when it then stays. When one sample step holds more than half of the change, the strike fell between those two samples
-(`sharp`).
+The free response starts where the push ends: at the extremum of the smoothed lean rate, or where its level is
+first reached when it then stays. When one sample step holds more than half of the change, the strike fell
+between those two samples (`sharp`).
 """
 
 from __future__ import annotations
@@ -93,7 +93,11 @@ class StrikeDetector:
     def _swing(self, time_ns: int, lean_rate: float) -> float:
         """Largest change from any sample of the last `rise` seconds to this one."""
         since = time_ns - self._settings.rise * NANOSECONDS
-        recent = [rate for when, rate in zip(reversed(self._time), reversed(self._rate), strict=True) if when >= since]
+        recent = [
+            rate
+            for when, rate in zip(reversed(self._time), reversed(self._rate), strict=True)
+            if when >= since
+        ]
         return max((abs(lean_rate - rate) for rate in recent), default=0.0)
 
     def _earlier_memory(self, time_ns: int) -> float:
@@ -128,15 +132,22 @@ class StrikeDetector:
         time, rate = np.array(self._time), np.array(self._rate)
         trigger = int(np.searchsorted(time, trigger_ns))
         first = int(np.searchsorted(time, trigger_ns - self._settings.rise * NANOSECONDS))
-        base = first + int(np.argmax(np.abs(rate[trigger] - rate[first:trigger])))  # where the change is measured from
+        base = first + int(
+            np.argmax(np.abs(rate[trigger] - rate[first:trigger]))
+        )  # where the change is measured from
         sign = math.copysign(1.0, rate[trigger] - rate[base])
         noise = self._noise(trigger)
         smooth = _moving_average(sign * rate, 5)
         peak = trigger + int(np.argmax(smooth[trigger:]))
-        step = base + int(np.argmax(np.diff(sign * rate[base : peak + 1])))  # largest between neighbours: step, step + 1
+        step = base + int(
+            np.argmax(np.diff(sign * rate[base : peak + 1]))
+        )  # largest between neighbours: step, step + 1
         sharp = sign * (rate[step + 1] - rate[step]) > 0.5 * (smooth[peak] - sign * rate[base])
         start = step + 1 if sharp else self._top(time, smooth, base, peak, noise)
-        if self._last_ns is not None and time[start] - self._last_ns < self._settings.refractory * NANOSECONDS:
+        if (
+            self._last_ns is not None
+            and time[start] - self._last_ns < self._settings.refractory * NANOSECONDS
+        ):
             return None
         change = float(rate[start] - rate[base])
         around = slice(max(0, base - 5), start + 6)
@@ -150,7 +161,9 @@ class StrikeDetector:
     @staticmethod
     def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: float) -> int:
         """Where the push ends: its extremum, or where the level was first reached when it then stays for over 50 ms."""
-        reached = base + int(np.argmax(smooth[base : peak + 1] >= smooth[peak] - 2.0 * noise / math.sqrt(5.0)))
+        reached = base + int(
+            np.argmax(smooth[base : peak + 1] >= smooth[peak] - 2.0 * noise / math.sqrt(5.0))
+        )
         return reached if time[peak] - time[reached] > 0.05 * NANOSECONDS else peak
 
 

@@ -12,14 +12,17 @@ from tms_model.imu import lean_and_yaw_rate
 
 from tms_fit.settings import FitSettings
 
-FEEDBACK_R2 = 0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
+FEEDBACK_R2 = (
+    0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
     """Free response after a strike. SAE signs; NaN marks what was not measured.
 
-    The free response starts `delay` before the first sample; every estimator holds its initial state at that instant.
+    The free response starts `delay` before the first sample; every estimator holds its initial state at that
+    instant.
     """
 
     first_ns: int  # stamp of the first sample
@@ -54,7 +57,8 @@ def make_window(
 ) -> Window:
     """Window from the samples of one free response.
 
-    time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; speed [m/s]; steer_torque (n,) [N m] or None.
+    time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; speed [m/s]; steer_torque
+    (n,) [N m] or None.
     """
     time = (time_ns - time_ns[0]) / 1e9
     lean_rate = angular_velocity[:, 0]

@@ -38,21 +38,27 @@ def _parser() -> Parser:
         "response": "free response to an initial lean rate",
         "plot": "figure of the eigenvalues against speed",
     }
-    subparsers = {name: commands.add_parser(name, help=text, description=text) for name, text in help_texts.items()}
+    subparsers = {
+        name: commands.add_parser(name, help=text, description=text) for name, text in help_texts.items()
+    }
     for name, subparser in subparsers.items():
         if name != "list":
             subparser.add_argument("bicycle", help="name in the catalogue, or a .yaml file")
         if name == "plot":
             subparser.add_argument("-o", "--output", required=True, help="PNG, SVG or PDF to write")
         else:
-            subparser.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+            subparser.add_argument(
+                "--json", action="store_true", help="one JSON document on stdout, SI units"
+            )
     for name in ("eigenvalues", "response"):
         subparsers[name].add_argument("--speed", type=float, required=True, help="forward speed [m/s]")
     one = subparsers["response"]
     one.add_argument("--lean-rate", type=float, required=True, help="initial lean rate [rad/s]")
     one.add_argument("--duration", type=float, default=4.0, help="[s] (default 4)")
     one.add_argument("--step", type=float, default=0.01, help="[s] (default 0.01)")
-    one.add_argument("--gain", type=float, default=0.0, help="steer torque per lean rate [N m s/rad] (default 0)")
+    one.add_argument(
+        "--gain", type=float, default=0.0, help="steer torque per lean rate [N m s/rad] (default 0)"
+    )
     return parser
 
 
@@ -78,7 +84,9 @@ def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     if arguments.json:
         return print_json({"bicycle": bicycle.name, **{k: m.tolist() for k, m in bicycle.canonical.items()}})
     for letter, matrix in bicycle.canonical.items():
-        print(f"{letter:3} [[{matrix[0, 0]:.9g}, {matrix[0, 1]:.9g}], [{matrix[1, 0]:.9g}, {matrix[1, 1]:.9g}]]")
+        print(
+            f"{letter:3} [[{matrix[0, 0]:.9g}, {matrix[0, 1]:.9g}], [{matrix[1, 0]:.9g}, {matrix[1, 1]:.9g}]]"
+        )
 
 
 def _eigenvalues(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
@@ -107,11 +115,18 @@ def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     if not answer.stable_speed_ranges:
         print(f"{bicycle.name} is not self-stable at any speed")
     for low, high in answer.stable_speed_ranges:
-        print(f"{bicycle.name} is self-stable from {low:.7f} m/s " + (f"to {high:.7f} m/s" if np.isfinite(high) else "up"))
+        print(
+            f"{bicycle.name} is self-stable from {low:.7f} m/s "
+            + (f"to {high:.7f} m/s" if np.isfinite(high) else "up")
+        )
 
 
 def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    if not (arguments.step > 0.0 and arguments.duration >= arguments.step and arguments.duration / arguments.step <= 1e6):
+    if not (
+        arguments.step > 0.0
+        and arguments.duration >= arguments.step
+        and arguments.duration / arguments.step <= 1e6
+    ):
         raise ParameterError(
             f"duration and step: expected a positive step, and 1 to 1000000 of them, found {arguments.duration:g} s"
             f" by {arguments.step:g} s"
@@ -133,7 +148,10 @@ def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
 
 
 def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    from tms_model.plot import eigenvalue_figure, save_figure  # matplotlib takes a second to import: only who plots pays for it
+    from tms_model.plot import (
+        eigenvalue_figure,
+        save_figure,
+    )  # matplotlib takes a second to import: only who plots pays for it
 
     save_figure(eigenvalue_figure(bicycle), Path(arguments.output))
 

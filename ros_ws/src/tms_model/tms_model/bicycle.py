@@ -1,7 +1,8 @@
 """A bicycle: the matrices of its linearised equations of motion and the geometry that gives its yaw.
 
-    M q'' + v C1 q' + (g K0 + v^2 K2) q = [T_lean, T_steer],  q = [lean, steer]                      (SOM Eq. 3.1)
-    yaw rate = (v / w) cos(lambda_s) steer + (c / w) cos(lambda_s) steer rate                          (SOM Eq. 10.2)
+    M q'' + v C1 q' + (g K0 + v^2 K2) q = [T_lean, T_steer],  q = [lean, steer]                      (SOM Eq.
+    3.1) yaw rate = (v / w) cos(lambda_s) steer + (c / w) cos(lambda_s) steer rate
+    (SOM Eq. 10.2)
 
 References: Kooijman et al. 2011, doi 10.1126/science.1201959, supplement (SOM); Meijaard et al. 2007, doi
 10.1098/rspa.2007.1857, appendix A (equation numbers "A n" below).
@@ -42,7 +43,10 @@ class Bicycle:
     uncertainty: str = ""
 
     def __post_init__(self) -> None:
-        if not np.allclose(self.mass, self.mass.T, rtol=1e-12, atol=0.0) or np.linalg.eigvalsh(self.mass)[0] <= 0.0:
+        if (
+            not np.allclose(self.mass, self.mass.T, rtol=1e-12, atol=0.0)
+            or np.linalg.eigvalsh(self.mass)[0] <= 0.0
+        ):
             raise ParameterError(
                 f"bicycle {self.name}: expected a symmetric positive definite mass matrix M, found {self.mass.tolist()};"
                 " some combination of lean and steer moves no mass: check masses, inertias and centres of mass"
@@ -67,7 +71,12 @@ class Bicycle:
 
 
 def assemble(
-    name: str, parameters: WhippleParameters, *, description: str = "", source: str = "", uncertainty: str = ""
+    name: str,
+    parameters: WhippleParameters,
+    *,
+    description: str = "",
+    source: str = "",
+    uncertainty: str = "",
 ) -> Bicycle:
     """Bicycle from its parameters, by the algorithm of Meijaard et al. 2007, appendix A."""
     mass, damping, stiffness0, stiffness2 = _matrices(parameters)

@@ -1,7 +1,8 @@
 """The catalogue of bicycles: one YAML file each, in the folder `bicycles/`, or any file of the same form.
 
-A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters) or `geometry` and
-`matrices`. Keys that end in `_deg` are degrees, everything else SI units. Unknown and missing keys are errors.
+A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters) or
+`geometry` and `matrices`. Keys that end in `_deg` are degrees, everything else SI units. Unknown and missing
+keys are errors.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def check_keys(mapping: Any, required: tuple[str, ...], where: str, optional: tu
     if missing:
         raise ParameterError(f"{where}: missing {', '.join(missing)}; expected {', '.join(required)}")
     if unknown:
-        raise ParameterError(f"{where}: unknown {', '.join(unknown)}; expected {', '.join(required + optional)}")
+        raise ParameterError(
+            f"{where}: unknown {', '.join(unknown)}; expected {', '.join(required + optional)}"
+        )
 
 
 def number(value: Any, where: str) -> float:

@@ -19,7 +19,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def run(
-    main: Callable[[Sequence[str] | None], None], bad_input: tuple[type[Exception], ...], argv: Sequence[str] | None = None
+    main: Callable[[Sequence[str] | None], None],
+    bad_input: tuple[type[Exception], ...],
+    argv: Sequence[str] | None = None,
 ) -> int:
     """Run `main(argv)`; return the exit code: 0, or 2 after one line about the bad input. Defects keep their traceback."""
     try:
@@ -39,14 +41,15 @@ def run(
 
 def print_json(document: dict[str, Any]) -> None:
     """One JSON document on stdout. NaN and infinity, which JSON does not know, become null."""
-    print(json.dumps(_finite(document), indent=1, allow_nan=False))
+    print(json.dumps(finite(document), indent=1, allow_nan=False))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """The value with NaN and infinity as None, at any depth: what JSON can say."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

@@ -1,7 +1,7 @@
 """The one place where signs change: SAE model axes (x forward, y right, z down) and REP-103 (x forward, y left, z up).
 
-The two differ by half a turn about x. A vector keeps x and flips y and z; lean and lean rate (about x) keep their sign,
-steer, yaw and yaw rate (about z) flip.
+The two differ by half a turn about x. A vector keeps x and flips y and z; lean and lean rate (about x) keep
+their sign, steer, yaw and yaw rate (about z) flip.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """What an ideal inertial sensor on the rear frame feels, and how lean and yaw rate are read back from it.
 
-The rear frame yaws about the vertical and leans about the ground line through its wheel contact; its pitch is of second
-order and left out. Body axes: SAE axes of the rear frame. With R = Rz(yaw) Rx(lean):
+The rear frame yaws about the vertical and leans about the ground line through its wheel contact; its pitch is
+of second order and left out. Body axes: SAE axes of the rear frame. With R = Rz(yaw) Rx(lean):
 
-    angular velocity = (lean', yaw' sin lean, yaw' cos lean)
-    acceleration of the contact point, yawing axes = (v', v yaw', 0)          (no lateral slip of the rear wheel)
-    specific force = acceleration - gravity; upright at rest (0, 0, -g) in SAE axes, +g up.
+    angular velocity = (lean', yaw' sin lean, yaw' cos lean) acceleration of the contact point, yawing axes =
+    (v', v yaw', 0)          (no lateral slip of the rear wheel) specific force = acceleration - gravity;
+    upright at rest (0, 0, -g) in SAE axes, +g up.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class RearFrameMotion:
 def ideal_imu(motion: RearFrameMotion, position: Array, gravity: float) -> tuple[Array, Array]:
     """Angular velocity [rad/s] and specific force [m/s^2], each (n, 3), in SAE axes of the rear frame.
 
-    position: (3,) [m], of the sensor from the rear wheel contact, SAE axes of the rear frame (z negative above ground).
+    position: (3,) [m], of the sensor from the rear wheel contact, SAE axes of the rear frame (z negative
+    above ground).
     """
     sin, cos = np.sin(motion.lean), np.cos(motion.lean)
     rate = np.stack([motion.lean_rate, motion.yaw_rate * sin, motion.yaw_rate * cos], axis=1)
@@ -55,8 +56,8 @@ def ideal_imu(motion: RearFrameMotion, position: Array, gravity: float) -> tuple
 def lean_and_yaw_rate(angular_velocity: Array, lean: Array) -> tuple[Array, Array]:
     """Lean rate and yaw rate [rad/s], each (n,), from the gyroscopes (n, 3) in SAE axes of the rear frame.
 
-    The yaw rate is the part of the angular velocity about the vertical: w_y sin(lean) + w_z cos(lean), which needs the
-    lean angle (n,) [rad] to first order only. Without w_y (NaN), w_z / cos(lean) stands for it.
+    The yaw rate is the part of the angular velocity about the vertical: w_y sin(lean) + w_z cos(lean), which
+    needs the lean angle (n,) [rad] to first order only. Without w_y (NaN), w_z / cos(lean) stands for it.
     """
     w_y, w_z = angular_velocity[:, 1], angular_velocity[:, 2]
     level = np.where(np.isnan(w_y), w_z / np.cos(lean), w_y * np.sin(lean) + w_z * np.cos(lean))

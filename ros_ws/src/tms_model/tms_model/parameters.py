@@ -1,7 +1,8 @@
 """The 25 parameters of the Whipple bicycle (24 of the bicycle and its gravity; the 25th, speed, belongs to a run).
 
-Reference: J. P. Meijaard, J. M. Papadopoulos, A. Ruina and A. L. Schwab, "Linearized dynamics equations for the
-balance and steer of a bicycle: a benchmark and review", Proc. R. Soc. A 463 (2007), doi 10.1098/rspa.2007.1857.
+Reference: J. P. Meijaard, J. M. Papadopoulos, A. Ruina and A. L. Schwab, "Linearized dynamics equations for
+the balance and steer of a bicycle: a benchmark and review", Proc. R. Soc. A 463 (2007), doi
+10.1098/rspa.2007.1857.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ class ParameterError(ValueError):
 class WhippleParameters:
     """Geometry and mass of a bicycle in its upright reference position.
 
-    Model axes (SAE): origin at the rear wheel contact, x forward, y right, z down, so points above the ground have
-    negative z. Inertias are about the body's centre of mass.
-    Raises ParameterError for a value that is not finite, a wheelbase or gravity that is not positive, a mass, radius or
-    wheel inertia about a diameter that is negative, or a spin inertia on a wheel of zero radius.
+    Model axes (SAE): origin at the rear wheel contact, x forward, y right, z down, so points above the ground
+    have negative z. Inertias are about the body's centre of mass. Raises ParameterError for a value that is
+    not finite, a wheelbase or gravity that is not positive, a mass, radius or wheel inertia about a diameter
+    that is negative, or a spin inertia on a wheel of zero radius.
     """
 
     wheelbase: float  # w [m], between the wheel contacts
@@ -31,7 +32,9 @@ class WhippleParameters:
     rear_wheel_radius: float  # r_R [m]
     rear_wheel_mass: float  # m_R [kg]
     rear_wheel_inertia_xx: float  # I_Rxx [kg m^2], about a diameter
-    rear_wheel_inertia_yy: float  # I_Ryy [kg m^2], spin; negative: a counter-rotating flywheel outweighs the wheel
+    rear_wheel_inertia_yy: (
+        float  # I_Ryy [kg m^2], spin; negative: a counter-rotating flywheel outweighs the wheel
+    )
     rear_frame_x: float  # x_B [m], centre of mass of rear frame and rigid rider
     rear_frame_z: float  # z_B [m]
     rear_frame_mass: float  # m_B [kg]

@@ -22,7 +22,9 @@ def eigenvalue_figure(bicycle: Bicycle, highest_speed: float = 10.0) -> Figure:
     axes = figure.add_subplot()
     for low, high in stability(bicycle).stable_speed_ranges:
         if low < highest_speed:
-            axes.axvspan(low, min(high, highest_speed), color="#009E73", alpha=0.15, lw=0, label="self-stable")
+            axes.axvspan(
+                low, min(high, highest_speed), color="#009E73", alpha=0.15, lw=0, label="self-stable"
+            )
             ends = [f"{low:.2f}"] + ([f"{high:.2f}"] if math.isfinite(high) else ["no upper limit"])
             axes.set_title(f"{bicycle.name}: self-stable {' to '.join(ends)} m/s")
     if not stability(bicycle).stable_speed_ranges:
@@ -32,7 +34,9 @@ def eigenvalue_figure(bicycle: Bicycle, highest_speed: float = 10.0) -> Figure:
     axes.plot([], [], "o", color="#0072B2", label="real part")
     axes.plot([], [], "o", color="#E69F00", label="imaginary part")
     axes.axhline(0.0, color="black", lw=0.8)
-    axes.set(xlabel="forward speed [m/s]", ylabel="eigenvalue [1/s]", xlim=(0.0, highest_speed), ylim=(-10.0, 10.0))
+    axes.set(
+        xlabel="forward speed [m/s]", ylabel="eigenvalue [1/s]", xlim=(0.0, highest_speed), ylim=(-10.0, 10.0)
+    )
     axes.legend(loc="upper left", framealpha=0.9)
     return figure
 
@@ -50,6 +54,8 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(unfinished, format=kind, dpi=150)
         unfinished.replace(path)
     except OSError as error:
-        raise ParameterError(f"{path}: expected a place to write a figure, found: {error.strerror}") from error
+        raise ParameterError(
+            f"{path}: expected a place to write a figure, found: {error.strerror}"
+        ) from error
     finally:
         unfinished.unlink(missing_ok=True)

@@ -2,8 +2,9 @@
 
 The state order is written here, once: lean, steer, lean_rate, steer_rate.
 
-Reference: Kooijman et al. 2011, supplement Eqs. (3.1) and (10.2), doi 10.1126/science.1201959; C. F. Van Loan,
-"Computing integrals involving the matrix exponential", IEEE TAC 23 (1978), doi 10.1109/TAC.1978.1101743.
+Reference: Kooijman et al. 2011, supplement Eqs. (3.1) and (10.2), doi 10.1126/science.1201959; C. F. Van
+Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978), doi
+10.1109/TAC.1978.1101743.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) ->
 def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> LinearSystem:
     """The bicycle at a constant speed [m/s], with optional lean-rate feedback on the steer torque [N m s/rad].
 
-    Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response to compare).
+    Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response
+    to compare).
     """
     if not (math.isfinite(speed) and speed > 0.0):
         raise ParameterError(f"speed: expected a positive number of m/s, found {speed:g}")
@@ -75,12 +77,17 @@ def discretise(system: LinearSystem, step: float) -> tuple[Array, Array]:
 def response(system: LinearSystem, initial: Array, times: Array, steer_torque: Array | None = None) -> Array:
     """States at `times` [s] (n,), ascending and not negative, when `initial` holds at time zero.
 
-    initial: (4,) for one response, (4, m) for m at once. steer_torque: (n,) [N m], each value held until the next time (the
-    first from time zero on). Returns (n, 4) or (n, 4, m). Exact between the times, whatever their spacing.
+    initial: (4,) for one response, (4, m) for m at once. steer_torque: (n,) [N m], each value held until the
+    next time (the first from time zero on). Returns (n, 4) or (n, 4, m). Exact between the times, whatever
+    their spacing.
     """
     states = np.empty((len(times), *initial.shape))
     state = initial
-    torque = np.zeros(len(times)) if steer_torque is None else np.concatenate([steer_torque[:1], steer_torque[:-1]])
+    torque = (
+        np.zeros(len(times))
+        if steer_torque is None
+        else np.concatenate([steer_torque[:1], steer_torque[:-1]])
+    )
     transitions: dict[float, tuple[Array, Array]] = {}
     # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
     for k, step in enumerate(np.round(np.diff(times, prepend=0.0), 9)):

@@ -19,7 +19,9 @@ from tms_model.response import state_matrix
 class Stability:
     """Where the uncontrolled bicycle is asymptotically stable."""
 
-    stable_speed_ranges: tuple[tuple[float, float], ...]  # [m/s] open intervals, the upper end may be infinite
+    stable_speed_ranges: tuple[
+        tuple[float, float], ...
+    ]  # [m/s] open intervals, the upper end may be infinite
     weave_speed: float | None  # [m/s] lowest speed at which an unstable oscillation becomes stable (X = 0)
     capsize_speed: float | None  # [m/s] lowest speed at which a real root becomes unstable (E = 0)
 
@@ -33,8 +35,8 @@ def eigenvalues(bicycle: Bicycle, speed: float) -> Array:
 def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
     """Coefficients A...E of Eq. (4.1) and the Routh determinant X = BCD - ADD - EBB (4.3), each as polynomial in speed.
 
-    Each value is an array of coefficients, the constant first: A (1,), B (2,), C (3,), D (4,), E (3,), X (7,);
-    powers that Eq. (4.2) leaves out are exactly zero.
+    Each value is an array of coefficients, the constant first: A (1,), B (2,), C (3,), D (4,), E (3,), X
+    (7,); powers that Eq. (4.2) leaves out are exactly zero.
     """
     m, c, k0, k2 = bicycle.mass, bicycle.damping, bicycle.gravity * bicycle.stiffness0, bicycle.stiffness2
 
@@ -62,7 +64,10 @@ def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
             exact[power] = coefficients[power] if power < len(coefficients) else 0.0
         result[letter] = exact
     a, b, cc, d, e = (result[letter] for letter in "ABCDE")
-    x = P.polysub(P.polysub(P.polymul(P.polymul(b, cc), d), P.polymul(a, P.polymul(d, d))), P.polymul(e, P.polymul(b, b)))
+    x = P.polysub(
+        P.polysub(P.polymul(P.polymul(b, cc), d), P.polymul(a, P.polymul(d, d))),
+        P.polymul(e, P.polymul(b, b)),
+    )
     result["X"] = np.pad(x, (0, 7 - len(x)))
     return {letter: result[letter] for letter in "ABCDEX"}
 
@@ -72,8 +77,11 @@ def stability(bicycle: Bicycle) -> Stability:
     coefficients = characteristic_polynomial(bicycle)
     real_crossings = _positive_roots(coefficients["E"])
     weave_crossings = _positive_roots(coefficients["X"])
-    # B, C and D can change sign only together with X or E unless stability is lost anyway; they cut intervals all the same.
-    cuts = sorted({*real_crossings, *weave_crossings, *(r for c in "BCD" for r in _positive_roots(coefficients[c]))})
+    # B, C and D can change sign only together with X or E unless stability is lost anyway; they cut intervals
+    # all the same.
+    cuts = sorted(
+        {*real_crossings, *weave_crossings, *(r for c in "BCD" for r in _positive_roots(coefficients[c]))}
+    )
     edges = [0.0, *cuts, math.inf]
     ranges: list[tuple[float, float]] = []
     for low, high in zip(edges, edges[1:], strict=False):

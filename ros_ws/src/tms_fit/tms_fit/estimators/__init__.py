@@ -1,6 +1,7 @@
 """The estimators by name. A new one: one file here and one line below.
 
-Each is a function (window, free, fixed) -> Estimate: `free` names the parameters to estimate, `fixed` gives values of others.
+Each is a function (window, free, fixed) -> Estimate: `free` names the parameters to estimate, `fixed` gives
+values of others.
 """
 
 from __future__ import annotations

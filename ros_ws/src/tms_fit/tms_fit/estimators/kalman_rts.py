@@ -1,14 +1,17 @@
 """Kalman filter (filterpy) over the free response, and fixed-interval smoothing back to the strike.
 
-The state is lean, steer, lean rate, steer rate and the free biases. Nothing disturbs the bicycle after the strike, so the
-process noise is zero and the smoothed initial state is the least-squares one: two ways to the same answer.
+The state is lean, steer, lean rate, steer rate and the free biases. Nothing disturbs the bicycle after the
+strike, so the process noise is zero and the smoothed initial state is the least-squares one: two ways to the
+same answer.
 
-The smoother is Rauch, Tung and Striebel's in the form of Bryson and Frazier. The usual form inverts the predicted covariance,
-which is singular here (initial states that are known, no process noise) and soon becomes so (the castering mode dies out);
-filterpy's rts_smoother then fails or loses all digits. This form inverts innovation covariances only.
+The smoother is Rauch, Tung and Striebel's in the form of Bryson and Frazier. The usual form inverts the
+predicted covariance, which is singular here (initial states that are known, no process noise) and soon
+becomes so (the castering mode dies out); filterpy's rts_smoother then fails or loses all digits. This form
+inverts innovation covariances only.
 
-References: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965), doi 10.2514/3.3166; A. E. Bryson and M. Frazier (1963);
-G. J. Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18 (1973), doi 10.1080/00207177308932487.
+References: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965), doi 10.2514/3.3166; A. E. Bryson and M.
+Frazier (1963); G. J. Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18
+(1973), doi 10.1080/00207177308932487.
 """
 
 from __future__ import annotations
@@ -43,8 +46,12 @@ def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> 
     # A noise of exactly zero has no filter; the smallest one that keeps the matrices apart stands for it.
     noise_used = max(noise, 1e-6)
     values, covariance = _smooth(window, prior, fixed, noise_used)
-    if not (np.isfinite(values).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()):
-        return Estimate("kalman_rts", "not_converged", "the smoother lost its precision: try fewer free parameters")
+    if not (
+        np.isfinite(values).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()
+    ):
+        return Estimate(
+            "kalman_rts", "not_converged", "the smoother lost its precision: try fewer free parameters"
+        )
     if window.delay_std:
         shift = sensitivity(window, lambda moved: _smooth(moved, prior, fixed, noise_used)[0])
         covariance = covariance + np.outer(shift, shift) * window.delay_std**2
@@ -66,12 +73,15 @@ def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> 
     )
 
 
-def _smooth(window: Window, prior: dict[str, float], fixed: dict[str, float], noise: float) -> tuple[Array, Array]:
+def _smooth(
+    window: Window, prior: dict[str, float], fixed: dict[str, float], noise: float
+) -> tuple[Array, Array]:
     """Smoothed values (p,) and covariance (p, p) of the parameters in `prior`, at the start of the free response.
 
-    The prior (standard deviations by name) serves the recursion and is taken out exactly at the end, so that the answer is
-    what the data alone say: with curvature L and gradient l of the adjoint pass at the start, prior x0, P0, the values are
-    x0 - L^-1 l and their covariance L^-1 - P0 (from x0 - P0 l and P0 - P0 L P0 by the matrix inversion lemma).
+    The prior (standard deviations by name) serves the recursion and is taken out exactly at the end, so that
+    the answer is what the data alone say: with curvature L and gradient l of the adjoint pass at the start,
+    prior x0, P0, the values are x0 - L^-1 l and their covariance L^-1 - P0 (from x0 - P0 l and P0 - P0 L P0
+    by the matrix inversion lemma).
     """
     names = _names(prior)
     kalman = KalmanFilter(dim_x=len(names), dim_z=2, dim_u=1)
@@ -97,7 +107,8 @@ def _smooth(window: Window, prior: dict[str, float], fixed: dict[str, float], no
 def _backward(passed: list[tuple[Array, Array, Array, Array, Array]], size: int) -> tuple[Array, Array]:
     """Adjoint pass of Bryson and Frazier: what all measurements together say about the state at the start.
 
-    passed: per sample F (size, size), H (m, size), gain K (size, m), innovation y (m, 1), inverse of its covariance (m, m).
+    passed: per sample F (size, size), H (m, size), gain K (size, m), innovation y (m, 1), inverse of its
+    covariance (m, m).
     """
     gradient, curvature = np.zeros((size, 1)), np.zeros((size, size))
     for transition, rows, gain, innovation, information in reversed(passed):
@@ -130,7 +141,9 @@ def _measurement_rows(window: Window, names: tuple[str, ...]) -> Array:
     return rows
 
 
-def _update(kalman: KalmanFilter, rows: Array, sample: Array, noise: float) -> tuple[Array, Array, Array, Array]:
+def _update(
+    kalman: KalmanFilter, rows: Array, sample: Array, noise: float
+) -> tuple[Array, Array, Array, Array]:
     """Use the channels that were measured; return H, K, innovation and inverse innovation covariance of what was used."""
     size = len(kalman.x)
     good = np.isfinite(sample)

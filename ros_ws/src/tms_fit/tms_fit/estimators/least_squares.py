@@ -27,11 +27,16 @@ class Solution:
 
 
 def estimate(
-    window: Window, free: tuple[str, ...], fixed: dict[str, float], channels: tuple[str, ...] = CHANNELS, name: str = "least_squares"
+    window: Window,
+    free: tuple[str, ...],
+    fixed: dict[str, float],
+    channels: tuple[str, ...] = CHANNELS,
+    name: str = "least_squares",
 ) -> Estimate:
     """Best-fitting `free` parameters; noise variance from the residuals, equal for both channels.
 
-    The covariance holds the uncertainty of the strike's instant between two samples, where the window states one.
+    The covariance holds the uncertainty of the strike's instant between two samples, where the window states
+    one.
     """
     window = _only(window, channels)
     reason = too_short(window, free)
@@ -39,7 +44,11 @@ def estimate(
         return Estimate(name, "too_short", reason)
     solution = solve(window, free, fixed)
     if not len(solution.values):
-        return Estimate(name, "not_observable", f"the measured channels do not tell {', '.join(free)} apart; free fewer of them")
+        return Estimate(
+            name,
+            "not_observable",
+            f"the measured channels do not tell {', '.join(free)} apart; free fewer of them",
+        )
     degrees = solution.count - len(free) - (1 if window.delay_std else 0)
     variance = solution.residual_sum / degrees
     covariance = variance * solution.inverse
@@ -80,7 +89,9 @@ def solve(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Sol
     return Solution(values / scale, inverse, float(residual @ residual), len(target))
 
 
-def refine_start(window: Window, free: tuple[str, ...], fixed: dict[str, float], longest_delay: float) -> Window:
+def refine_start(
+    window: Window, free: tuple[str, ...], fixed: dict[str, float], longest_delay: float
+) -> Window:
     """The window with the strike's instant between two samples estimated: the delay in [0, longest_delay] that fits best.
 
     Its standard deviation comes from the curvature of the residual sum, at most that of a uniform guess.
@@ -91,7 +102,9 @@ def refine_start(window: Window, free: tuple[str, ...], fixed: dict[str, float],
     def residual_sum(delay: float) -> float:
         return solve(replace(window, delay=float(delay)), free, fixed).residual_sum
 
-    best = minimize_scalar(residual_sum, bounds=(0.0, longest_delay), method="bounded", options={"xatol": 1e-6})
+    best = minimize_scalar(
+        residual_sum, bounds=(0.0, longest_delay), method="bounded", options={"xatol": 1e-6}
+    )
     step = longest_delay / 10.0
     centre = min(max(float(best.x), step), longest_delay - step)
     around = [residual_sum(centre + offset) for offset in (-step, 0.0, step)]

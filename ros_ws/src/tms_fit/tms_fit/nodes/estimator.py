@@ -27,23 +27,40 @@ class Estimator(Node):  # type: ignore[misc]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("estimator", **kwargs)
-        bicycle = declare(self, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names")
-        free = declare(self, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default")
+        bicycle = declare(
+            self, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names"
+        )
+        free = declare(
+            self, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default"
+        )
         settings = FitSettings(
             free=tuple(name for name in free if name) or None,
             window=declare(self, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
             gyroscope_noise=declare(
-                self, "gyroscope_noise", FitSettings.gyroscope_noise, "noise where no message states it [rad/s]", 1e-9, 10.0
+                self,
+                "gyroscope_noise",
+                FitSettings.gyroscope_noise,
+                "noise where no message states it [rad/s]",
+                1e-9,
+                10.0,
             ),
             steer_torque=declare(
-                self, "steer_torque", FitSettings.steer_torque, "how a known torque enters: auto, feedback, input, ignore"
+                self,
+                "steer_torque",
+                FitSettings.steer_torque,
+                "how a known torque enters: auto, feedback, input, ignore",
             ),
-            estimators=tuple(declare(self, "estimators", list(FitSettings.estimators), "estimators, in order")),
+            estimators=tuple(
+                declare(self, "estimators", list(FitSettings.estimators), "estimators, in order")
+            ),
         )
-        self._idle = declare(self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0)
+        self._idle = declare(
+            self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0
+        )
         self._fit = LiveFit(settings, bicycle)
         self._last = time.monotonic()
-        # Estimates are few and must not be missed by who comes late; filter states are a stream like any sensor's.
+        # Estimates are few and must not be missed by who comes late; filter states are a stream like any
+        # sensor's.
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._outputs = {
             f"/{ESTIMATE}": self.create_publisher(message_class(ESTIMATE_TYPE), ESTIMATE, latched),
@@ -88,7 +105,11 @@ class Estimator(Node):  # type: ignore[misc]
 
     def _report(self) -> Report:
         waiting = not self._fit.bicycle
-        text = "waiting for run_info, or set the parameter bicycle" if waiting else f"bicycle {self._fit.bicycle}"
+        text = (
+            "waiting for run_info, or set the parameter bicycle"
+            if waiting
+            else f"bicycle {self._fit.bicycle}"
+        )
         return text, not waiting, dict(self._fit.counts)
 
 

@@ -1,0 +1,158 @@
+"""The whole pipeline in one go: simulator and recorder nodes, player and estimator nodes, then the offline fit."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from tms_bag import BagReader, RecordingError, read_recording
+from tms_bag.messages import deserialize
+from tms_fit.figure3b import figure_3b
+from tms_fit.live import INPUTS
+from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE
+from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
+from tms_fit.result import to_json
+from tms_fit.settings import FitSettings
+from tms_model.command_line import finite
+from tms_model.plot import save_figure
+
+from tms_study.processes import NodeProcess, own_domain
+
+RATE = 4.0  # simulated seconds per real second
+PATIENCE = 60.0  # [s], longest wait for a step
+
+
+def demo(output: Path, scenario: str, seed: int) -> str:
+    """Run the demo into a folder, replacing an earlier one; return the table to print.
+
+    The folder appears whole or not at all. Raises RecordingError or ParameterError with what went wrong.
+    """
+    with _folder(output) as folder:
+        (folder / "log").mkdir()
+        with own_domain():
+            _say("simulator and recorder: a strike, live over DDS")
+            _record(folder, scenario, seed)
+            _say("player and estimator: the recorded bag, replayed")
+            _estimate(folder)
+        _say("offline fit of the same bag")
+        recording = read_recording(folder / "bag")
+        fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+        document = {**to_json(fit), "bag": str(output / "bag")}
+        (folder / "estimate.json").write_text(json.dumps(finite(document), indent=1) + "\n")
+        save_figure(figure_3b(fit), folder / "figure_3b.png")
+        live = _live_estimates(folder / "live")
+    return _table(fit, live, output)
+
+
+@contextmanager
+def _folder(output: Path) -> Iterator[Path]:
+    """A new folder that takes the place of `output` at the end, and is gone when something fails."""
+    unfinished = output.with_name(f".{output.name}.{os.getpid()}.unfinished")
+    marker = output / "estimate.json"
+    if output.exists() and not (output.is_dir() and (marker.exists() or not any(output.iterdir()))):
+        raise RecordingError(f"{output}: expected a new folder or one that a demo made, found other things; choose another --out")
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
+        if output.exists():
+            shutil.rmtree(output)
+        unfinished.rename(output)
+    except OSError as error:
+        raise RecordingError(f"{output}: expected a place to write, found: {error.strerror}") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _record(folder: Path, scenario: str, seed: int) -> None:
+    recorder = NodeProcess("tms_bag", "recorder", {"output": folder / "bag"}, folder / "log" / "recorder.log")
+    parameters = {"scenario": scenario, "seed": seed, "rate": RATE, "wait_for_subscribers": 1}
+    simulator = NodeProcess("tms_sim", "simulator", parameters, folder / "log" / "simulator.log")
+    try:
+        simulator.wait(PATIENCE)
+        recorder.stop()
+    finally:
+        simulator.kill()
+        recorder.kill()
+
+
+def _estimate(folder: Path) -> None:
+    outputs = f"[{ESTIMATE},{FILTER_STATE}]"
+    listener = NodeProcess(
+        "tms_bag", "recorder", {"output": folder / "live", "topics": outputs}, folder / "log" / "live_recorder.log"
+    )
+    estimator = NodeProcess("tms_fit", "estimator", {"idle": 0.5}, folder / "log" / "estimator.log")
+    try:
+        for topic in (ESTIMATE, FILTER_STATE):
+            listener.wait_for(f"recording /{topic}", PATIENCE)
+        with BagReader(folder / "bag") as bag:
+            inputs = [entry.name for entry in bag.topics if entry.name.removeprefix("/") in INPUTS and entry.count]
+        parameters = {
+            "bag": folder / "bag",
+            "rate": RATE,
+            "topics": f"[{','.join(inputs)}]",
+            "wait_for_subscribers": len(inputs),
+        }
+        player = NodeProcess("tms_bag", "player", parameters, folder / "log" / "player.log")
+        try:
+            player.wait(PATIENCE)
+        finally:
+            player.kill()
+        _wait_for_estimates(folder / "live")
+        estimator.stop()
+        listener.stop()
+    finally:
+        estimator.kill()
+        listener.kill()
+
+
+def _wait_for_estimates(bag: Path) -> None:
+    """Until the recorded estimates have reached the disk."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        if _live_estimates(bag):
+            return
+        time.sleep(0.1)
+    raise RecordingError(f"expected an estimate from the estimator node within {PATIENCE:g} s, found none")
+
+
+def _live_estimates(bag: Path) -> dict[str, tuple[float, float, float]]:
+    """Initial lean rate and interval of the first strike, by estimator."""
+    found: dict[str, tuple[float, float, float]] = {}
+    with BagReader(bag) as reader:
+        for record in reader.records([f"/{ESTIMATE}"]):
+            message = deserialize(record.data, ESTIMATE_TYPE)
+            if "initial_lean_rate" in message.names and message.estimator not in found:
+                i = message.names.index("initial_lean_rate")
+                found[message.estimator] = (message.values[i], message.ci95_low[i], message.ci95_high[i])
+    return found
+
+
+def _table(fit: RecordingFit, live: dict[str, tuple[float, float, float]], output: Path) -> str:
+    strike = fit.strikes[0]
+    state = fit.recording.state
+    assert state is not None
+    true = float(state.state[np.searchsorted(state.time_ns, strike.strike.time_ns), 2])
+    lines = ["", f"initial lean rate [rad/s], {fit.bicycle.name}", f"  {'true':24} {true:9.5f}"]
+    for estimate in strike.estimates:
+        index = estimate.names.index("initial_lean_rate")
+        value, (low, high) = estimate.values[index], estimate.ci95[index]
+        lines.append(f"  {estimate.estimator:24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
+        if estimate.estimator in live:
+            value, low, high = live[estimate.estimator]
+            lines.append(f"  {estimate.estimator + ', live node':24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
+    width = max(len(name) for name in ("figure_3b.png", "estimate.json"))
+    lines += ["", "look at"]
+    texts = {"figure_3b.png": "measured and predicted", "estimate.json": "all numbers", "bag": "the recording"}
+    lines += [f"  {output / name}{' ' * (width - len(name))}  {text}" for name, text in texts.items()]
+    return "\n".join(lines)
+
+
+def _say(text: str) -> None:
+    print(f"demo: {text}", file=sys.stderr)
