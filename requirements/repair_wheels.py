@@ -1,7 +1,8 @@
 """Mends the CMake files of the ROS wheels in the environment of the Python that runs this.
 
-The wheels were built in a container, and their exported CMake files name that container's include folders of Python and NumPy
-(/opt/python/cp311-cp311/...), which don't exist here: CMake then stops with 'includes non-existent path'.
+The wheels were built in a container, and their exported CMake files name that container's include folders of
+Python and NumPy (/opt/python/cp311-cp311/...), which don't exist here: CMake then stops with 'includes
+non-existent path'.
 """
 
 import re

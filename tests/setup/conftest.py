@@ -15,10 +15,23 @@ PARTS = ["tms", "pyproject.toml", "requirements", "ros_ws/src"]
 @pytest.fixture
 def clean_environment() -> dict[str, str]:
     """The user's environment as it is before any ROS is set up: tests themselves run inside ./tms."""
-    foreign = ("AMENT_", "CMAKE_", "COLCON_", "ROS_", "RMW_", "TMS_", "_ROS_", "PYTHON", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+    foreign = (
+        "AMENT_",
+        "CMAKE_",
+        "COLCON_",
+        "ROS_",
+        "RMW_",
+        "TMS_",
+        "_ROS_",
+        "PYTHON",
+        "LD_LIBRARY_PATH",
+        "VIRTUAL_ENV",
+    )
     environment = {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
     own = str(ROOT / ".venv")
-    environment["PATH"] = os.pathsep.join(p for p in os.environ["PATH"].split(os.pathsep) if not p.startswith(own))
+    environment["PATH"] = os.pathsep.join(
+        p for p in os.environ["PATH"].split(os.pathsep) if not p.startswith(own)
+    )
     return environment
 
 
@@ -47,7 +60,11 @@ def bash(clean_environment: dict[str, str]) -> Callable[..., "subprocess.Complet
     def run(project: Path, text: str, **variables: str) -> "subprocess.CompletedProcess[str]":
         return subprocess.run(
             [shutil.which("bash"), "-c", f'source "$1"; {text}', "test", str(project / "tms")],
-            env=clean_environment | variables, capture_output=True, text=True, timeout=60, check=False,
+            env=clean_environment | variables,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
         )
 
     return run

@@ -9,7 +9,9 @@ TMS = Path(__file__).resolve().parents[2] / "tms"
 
 
 def tms(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([TMS, *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        [TMS, *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 def one_line(text: str) -> str:
@@ -66,7 +68,10 @@ def test_shell_runs_in_the_users_folder_and_hands_the_exit_code_on(tmp_path):
 
 
 def test_workspace_is_sourced_and_messages_are_the_built_ones(tmp_path):
-    code = "import rclpy, tms_msgs.msg as m, ament_index_python as a; print(a.get_package_prefix('tms_msgs')); print(m.LeanYaw())"
+    code = (
+        "import ament_index_python as a, tms_msgs.msg as m; "
+        "print(a.get_package_prefix('tms_msgs')); print(m.LeanYaw())"
+    )
     done = tms("shell", "-c", f'python -c "{code}"', cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     prefix, message = done.stdout.splitlines()
@@ -78,7 +83,9 @@ def test_discovery_stays_on_this_machine_unless_told_otherwise(tmp_path, clean_e
     command = [TMS, "shell", "-c", "echo $ROS_AUTOMATIC_DISCOVERY_RANGE"]
     for given, expected in [({}, "LOCALHOST\n"), ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "SUBNET\n")]:
         environment = clean_environment | given
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=True)
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=True
+        )
         assert done.stdout == expected
 
 

@@ -21,10 +21,10 @@ def executable(path: Path, text: str) -> Path:
 
 
 def base_python() -> str:
-    return os.path.realpath(sys._base_executable)  # noqa: SLF001 (the interpreter below the virtual environment)
+    return os.path.realpath(sys._base_executable)  # the interpreter below the virtual environment
 
 
-# --- Which Python -----------------------------------------------------------------------------------------------------------
+# --- Which Python ------------------------------------------------------------------------------------------
 
 CHOOSE = "choose_python; echo ${BASE:-none} missing=${missing[*]:-}"
 
@@ -56,10 +56,11 @@ def test_a_python_asked_for_that_does_not_run_is_an_error(project, bash, tmp_pat
     asked = executable(tmp_path / "broken", "#!/bin/sh\nexit 1\n")
     done = bash(project, "missing=(); packages=(); choose_python", TMS_PYTHON=str(asked))
     assert done.returncode == 1
-    assert done.stderr == f"tms: TMS_PYTHON={asked} is no CPython 3.10 to 3.13 that runs; unset it, or name another\n"
+    said = f"tms: TMS_PYTHON={asked} is no CPython 3.10 to 3.13 that runs; unset it, or name another\n"
+    assert done.stderr == said
 
 
-# --- What is missing --------------------------------------------------------------------------------------------------------
+# --- What is missing ---------------------------------------------------------------------------------------
 
 
 def test_everything_missing_is_told_in_one_line_with_the_remedy(project, bash, tmp_path):
@@ -96,7 +97,7 @@ def test_a_machine_without_wheels_is_told_what_to_do(project, bash, fake, reason
     assert done.stderr.count("\n") == 1
 
 
-# --- Which ROS --------------------------------------------------------------------------------------------------------------
+# --- Which ROS ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -116,22 +117,32 @@ def test_a_sourced_jazzy_is_used(project, bash, jazzy):
 
 
 @pytest.mark.parametrize(
-    "variables", [{}, {"ROS_DISTRO": "humble"}, {"ROS_DISTRO": "jazzy", "TMS_ROS": "wheels"}, {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ""}]
+    "variables",
+    [
+        {},
+        {"ROS_DISTRO": "humble"},
+        {"ROS_DISTRO": "jazzy", "TMS_ROS": "wheels"},
+        {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ""},
+    ],
 )
 def test_anything_else_means_the_wheels(project, bash, jazzy, variables):
     assert bash(project, SOURCED, **({"AMENT_PREFIX_PATH": str(jazzy)} | variables)).stdout == "wheels\n"
 
 
 def test_an_environment_of_wheels_is_no_sourced_ros(project, bash, jazzy):
-    """Inside './tms shell' the variables look like a sourced ROS; another copy of the project must not build on it."""
+    """Inside './tms shell' it looks like a sourced ROS; another copy of the project doesn't build on it."""
     (jazzy / "pyvenv.cfg").touch()
     assert bash(project, SOURCED, ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=str(jazzy)).stdout == "wheels\n"
 
 
 def test_with_wheels_nothing_of_another_ros_gets_in(project, bash):
     foreign = {
-        "ROS_DISTRO": "humble", "AMENT_PREFIX_PATH": "/opt/ros/humble", "CMAKE_PREFIX_PATH": "/opt/ros/humble",
-        "PYTHONPATH": "/opt/ros/humble/lib/python3.10", "LD_LIBRARY_PATH": "/opt/ros/humble/lib", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+        "ROS_DISTRO": "humble",
+        "AMENT_PREFIX_PATH": "/opt/ros/humble",
+        "CMAKE_PREFIX_PATH": "/opt/ros/humble",
+        "PYTHONPATH": "/opt/ros/humble/lib/python3.10",
+        "LD_LIBRARY_PATH": "/opt/ros/humble/lib",
+        "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
     }
     done = bash(project, "choose_folders; choose_ros; enter_ros; env", **foreign)
     assert done.returncode == 0, done.stderr
@@ -141,7 +152,7 @@ def test_with_wheels_nothing_of_another_ros_gets_in(project, bash):
     assert variables["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
 
 
-# --- Where things lie -------------------------------------------------------------------------------------------------------
+# --- Where things lie --------------------------------------------------------------------------------------
 
 
 def test_made_things_stay_in_the_project_when_its_path_is_plain(copy_to, bash, tmp_path_factory):
@@ -160,7 +171,7 @@ def test_an_unusual_path_keeps_made_things_in_a_plain_folder(copy_to, bash, tmp_
     assert done.stdout.startswith(f"/var/tmp/tms-{os.getuid()}/")
 
 
-# --- What is stale ----------------------------------------------------------------------------------------------------------
+# --- What is stale -----------------------------------------------------------------------------------------
 
 READY = "choose_folders; choose_ros; venv_ready && echo whole || echo stale"
 
@@ -220,7 +231,14 @@ def key(project: Path, bash) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    "path", ["tms_msgs/msg/RunInfo.msg", "tms_msgs/CMakeLists.txt", "tms_bag/package.xml", "tms_bag/setup.py", "tms_bag/setup.cfg"]
+    "path",
+    [
+        "tms_msgs/msg/RunInfo.msg",
+        "tms_msgs/CMakeLists.txt",
+        "tms_bag/package.xml",
+        "tms_bag/setup.py",
+        "tms_bag/setup.cfg",
+    ],
 )
 def test_what_a_build_reads_makes_its_package_stale(project, bash, path):
     before = key(project, bash)
@@ -244,6 +262,7 @@ def test_symlinked_python_packages_need_no_build(project, bash):
     package = project / "ros_ws/src/tms_bag"
     with (package / "tms_bag/__init__.py").open("a") as file:
         file.write("\n")
-    for path in ("tms_bag/new.py", "tms_bag/mappings/new.yaml", "tms_bag/__pycache__/x.pyc", "tms_bag.egg-info/PKG-INFO", ".pytest_cache/x"):
+    left_behind = ["tms_bag/__pycache__/x.pyc", "tms_bag.egg-info/PKG-INFO", ".pytest_cache/x"]
+    for path in ["tms_bag/new.py", "tms_bag/mappings/new.yaml", *left_behind]:
         executable(package / path, "")
     assert key(project, bash) == before
