@@ -22,15 +22,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
     if arguments.command == "run":
         fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
-        print_json(to_json(fit)) if arguments.json else print(to_table(fit))
+        if arguments.json:
+            print_json(to_json(fit))
+        else:
+            print(to_table(fit))
     else:
         estimator = arguments.estimator[0] if arguments.estimator else "least_squares"
         fit = _fit(arguments, (estimator,))
+        # matplotlib takes a second to import: only who plots pays for it
         from tms_model.plot import save_figure
 
-        from tms_fit.figure3b import (
-            figure_3b,
-        )  # matplotlib takes a second to import: only who plots pays for it
+        from tms_fit.figure3b import figure_3b
 
         save_figure(figure_3b(fit, arguments.strike), Path(arguments.output))
 
@@ -80,7 +82,8 @@ def _parser() -> Parser:
             "--steer-torque",
             choices=("auto", "feedback", "input", "ignore"),
             default=FitSettings.steer_torque,
-            help="how a known steer torque enters (default: feedback where it is proportional to the lean rate, else input)",
+            help="how a known steer torque enters (default: feedback where it is proportional to the lean"
+            " rate, else input)",
         )
         command.add_argument("--imu-topic", help="topic of type sensor_msgs/msg/Imu")
         command.add_argument("--speed-topic", help="topic of type geometry_msgs/msg/TwistStamped")

@@ -62,7 +62,7 @@ def variance_accounted_for(window: Window, predicted: Array) -> dict[str, float]
 
 
 def lag_one_autocorrelation(window: Window, predicted: Array) -> float:
-    """Autocorrelation of neighbouring residuals, of the channel where it is largest: near 0 when the model is right."""
+    """Autocorrelation of neighbouring residuals, of the channel where it is largest. White ones: near 0."""
     worst = float("nan")
     for residual in (window.measured - predicted).T:
         residual = residual[np.isfinite(residual)]
@@ -77,8 +77,8 @@ def caution(autocorrelation: float) -> str:
     if not autocorrelation > COLOURED:
         return ""
     return (
-        f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses something"
-        " and the interval is too narrow"
+        f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
+        " something and the interval is too narrow"
     )
 
 
@@ -88,7 +88,7 @@ def too_short(window: Window, free: tuple[str, ...]) -> str:
     span = float(window.time[-1]) if len(window.time) else 0.0
     if span < LEAST_SPAN or count < len(free) + LEAST_SAMPLES:
         return (
-            f"expected at least {LEAST_SPAN} s and {len(free) + LEAST_SAMPLES} measurements after the strike for"
-            f" {len(free)} unknowns, found {span:.3f} s and {count}"
+            f"expected at least {LEAST_SPAN} s and {len(free) + LEAST_SAMPLES} measurements after the strike"
+            f" for {len(free)} unknowns, found {span:.3f} s and {count}"
         )
     return ""

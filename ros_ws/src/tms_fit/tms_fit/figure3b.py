@@ -1,7 +1,7 @@
-"""Measured and predicted lean and yaw rate after a strike, in the arrangement of Figure 3B of Kooijman et al. 2011.
+"""Measured and predicted lean and yaw rate after a strike, in the arrangement of Figure 3B.
 
-The supplement (doi 10.1126/science.1201959) says what that figure shows: measured and simulated lean rate and
-yaw rate of the rear frame. The measurement here is always the recording at hand.
+The supplement of Kooijman et al. 2011 (doi 10.1126/science.1201959) says what that figure shows: measured and
+simulated lean rate and yaw rate of the rear frame. The measurement here is always the recording at hand.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MEASURED, PREDICTED = "#555555", "#0072B2"
 
 
 def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
-    """The figure for strike `number`, counted from 1. Raises RecordingError when there is no such fitted strike."""
+    """The figure for strike `number`, counted from 1. Raises RecordingError if it was not fitted."""
     if not 1 <= number <= len(fit.strikes):
         raise RecordingError(
             f"{fit.recording.path}: expected a strike number from 1 to {len(fit.strikes)}, found {number}"
@@ -85,11 +85,13 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
 
 def _title(fit: RecordingFit, used: Window, estimate: Estimate, number: int) -> str:
     name = "initial_lean_rate"
-    text = f"{_source(fit)} run {fit.recording.path.name}, strike {number}: {fit.bicycle.name} at {used.system.speed:.2f} m/s"
+    text = f"{_source(fit)} run {fit.recording.path.name}, strike {number}: {fit.bicycle.name}"
+    text += f" at {used.system.speed:.2f} m/s"
     if name in estimate.names:
         index = estimate.names.index(name)
         half = 0.5 * float(estimate.ci95[index, 1] - estimate.ci95[index, 0])
-        text += f"\ninitial lean rate {estimate.values[index]:.4f} ± {half:.4f} rad/s (95 %, {estimate.estimator.replace('_', ' ')})"
+        text += f"\ninitial lean rate {estimate.values[index]:.4f} ± {half:.4f} rad/s"
+        text += f" (95 %, {estimate.estimator.replace('_', ' ')})"
     return text
 
 
@@ -100,7 +102,7 @@ def _source(fit: RecordingFit) -> str:
 
 
 def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
-    """The window prolonged beyond what was fitted, up to the next strike: there the curve is a prediction proper."""
+    """The window prolonged beyond what was fitted, up to the next strike: there the curve truly predicts."""
     imu, torque = fit.recording.imu, fit.recording.steer_torque
     strikes = fit.strikes
     end = used.start_ns + round(AFTER * 1e9)
@@ -117,7 +119,10 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
 
 
 def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
-    """Times (n,) [s] and both channels (n, 2) just before the free response; upright enough to take the gyroscopes as they are."""
+    """Times (n,) [s] and both channels (n, 2) just before the free response.
+
+    The bicycle is upright enough there to take the gyroscopes as they are.
+    """
     imu = fit.recording.imu
     rows = np.flatnonzero(
         (imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns)

@@ -23,7 +23,7 @@ WAIT_FOR_RUN_INFO = 100  # IMU samples to wait for a run_info when the bicycle w
 
 
 class LiveFit:
-    """Takes messages, gives estimates and filter states. Raises ParameterError for an unknown bicycle given by name."""
+    """Takes messages, gives estimates and filter states. Raises ParameterError for an unknown bicycle."""
 
     def __init__(self, settings: FitSettings, bicycle: str = "") -> None:
         self._settings, self._given = settings, bicycle
@@ -34,6 +34,7 @@ class LiveFit:
         self._info: RunInfo | None = None
         self._online: OnlineFit | None = None
         self._held: list[tuple[str, bytes]] = []
+        self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
 
     def take(self, topic: str, data: bytes) -> list[Record]:
@@ -112,8 +113,7 @@ class LiveFit:
 
     def _answers(self) -> list[Record]:
         assert self._online is not None
-        answers: list[Record] = getattr(self, "_pending", [])
-        self._pending: list[Record] = []
+        answers, self._pending = self._pending, []
         for result in self._online.results():
             if isinstance(result, StrikeFit):
                 self.counts["strikes"] += 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from tms_bag.messages import message_type, serialize
 from tms_bag.record import Record
@@ -70,11 +72,11 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
     return serialize(message)
 
 
-def _time(time_ns: int):  # type: ignore[no-untyped-def]
+def _time(time_ns: int) -> Any:
     return message_type("builtin_interfaces/msg/Time")(
         sec=time_ns // 1_000_000_000, nanosec=time_ns % 1_000_000_000
     )
 
 
-def _header(time_ns: int):  # type: ignore[no-untyped-def]
+def _header(time_ns: int) -> Any:
     return message_type("std_msgs/msg/Header")(stamp=_time(time_ns), frame_id="rear_frame")

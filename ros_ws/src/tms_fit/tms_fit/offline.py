@@ -28,7 +28,7 @@ class RecordingFit:
 
 
 def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
-    """The bicycle asked for, else the one that the recording names. Raises RecordingError when neither does."""
+    """The bicycle asked for, else the one that the recording names. Raises RecordingError without either."""
     found = name or (recording.run_info.bicycle if recording.run_info else "")
     if not found:
         raise RecordingError(
@@ -38,7 +38,7 @@ def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
 
 
 def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings) -> RecordingFit:
-    """Find the strikes of a recording and fit each. Raises RecordingError when there is no speed or no lean rate to fit."""
+    """Find the strikes of a recording and fit each. Raises RecordingError without a speed or a lean rate."""
     info = recording.run_info
     nominal = info.speed if info else float("nan")
     if recording.speed is None and "speed" not in settings.fixed and not np.isfinite(nominal):
@@ -51,7 +51,8 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
         and not (recording.speed.speed > 0.0).any()
     ):
         raise RecordingError(
-            f"{recording.path}: expected a positive forward speed, found at most {np.nanmax(recording.speed.speed):g} m/s;"
+            f"{recording.path}: expected a positive forward speed, found at most"
+            f" {np.nanmax(recording.speed.speed):g} m/s;"
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
         )
     online = OnlineFit(bicycle, settings, orientation_of(recording), nominal, running_filter=False)

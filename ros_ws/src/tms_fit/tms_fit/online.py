@@ -1,4 +1,4 @@
-"""Strikes and fits from samples as they come. A live run, a replayed bag and `fit run` all go through this one class.
+"""Strikes and fits from samples as they come: live run, replayed bag and `fit run` go through one class.
 
 What comes out depends on the samples and their time stamps alone, not on how the topics interleave: an IMU
 sample is used once speed and steer torque are known up to its time, or are late by more than `PATIENCE`.
@@ -84,7 +84,11 @@ class OnlineFit:
         nominal_speed: float = float("nan"),
         running_filter: bool = True,
     ) -> None:
-        """imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103). nominal_speed [m/s]: used without a speed topic."""
+        """Nothing is known yet.
+
+        imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103).
+        nominal_speed [m/s]: used without a speed topic.
+        """
         for name in settings.estimators:
             if name not in ESTIMATORS:
                 raise ParameterError(f"estimator: unknown {name!r}; expected of {', '.join(ESTIMATORS)}")
@@ -100,7 +104,7 @@ class OnlineFit:
         self._results: list[StrikeFit | FilterStep] = []
 
     def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
-        """One IMU sample: gyroscopes (3,) [rad/s] in the imu frame's axes, variances (3,), NaN: absent or unknown."""
+        """One sample: gyroscopes (3,) [rad/s] in imu axes, variances (3,); NaN: absent, unknown."""
         newest = self._waiting[-1][0] if self._waiting else self._used[-1].time_ns if self._used else None
         if newest is not None and time_ns <= newest:
             return  # a repeated or late sample; the recorder's and the player's reports count those
@@ -171,7 +175,7 @@ class OnlineFit:
             self._torque.forget(keep)
 
     def _run_filter(self, sample: _Sample, strike: Strike | None) -> None:
-        """One step; a strike, known only some time after, is made good by filtering anew from its first sample on."""
+        """One step; a strike, known only some time after, is made good by filtering anew from it on."""
         assert self._filter is not None
         first = len(self._used) - 1
         if strike is not None:

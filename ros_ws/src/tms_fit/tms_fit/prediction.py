@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,9 @@ class Predictor:
 
     def predict(self, parameters: dict[str, float]) -> Array:
         """Lean rate and yaw rate (n, 2) [rad/s]; parameters left out are zero."""
-        return self.columns @ np.array([parameters.get(name, 0.0) for name in LINEAR]) + self.forced
+        values = np.array([parameters.get(name, 0.0) for name in LINEAR])
+        predicted: Array = self.columns @ values + self.forced
+        return predicted
 
 
 def predictor(window: Window) -> Predictor:
@@ -45,6 +48,6 @@ def predictor(window: Window) -> Predictor:
     return Predictor(columns, forced)
 
 
-def _channels(window: Window):  # type: ignore[no-untyped-def]
+def _channels(window: Window) -> Callable[[Array], Array]:
     """States (n, 4, ...) -> lean rate and yaw rate (n, 2, ...)."""
     return lambda states: np.stack([states[:, LEAN_RATE], yaw_rate(window.system, states)], axis=1)

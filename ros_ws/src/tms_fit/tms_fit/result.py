@@ -63,7 +63,8 @@ def to_table(fit: RecordingFit) -> str:
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
     if fit.strikes:
         lines.append(
-            f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}   VAF lean, yaw"
+            f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}"
+            "   VAF lean, yaw"
         )
     for strike in fit.strikes:
         when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
@@ -75,7 +76,8 @@ def to_table(fit: RecordingFit) -> str:
     )
     if coloured:
         lines.append(
-            f"{coloured} of these estimates leave residuals that are not white: their intervals are too narrow (see docs/conventions.md)"
+            f"{coloured} of these estimates leave residuals that are not white: their intervals are too"
+            " narrow (see docs/conventions.md)"
         )
     return "\n".join(lines)
 

@@ -54,9 +54,10 @@ class RunningFilter:
     def step(
         self, time_ns: int, angular_velocity: Array, variance: Array, speed: float, steer_torque: float
     ) -> FilterStep:
-        """Use one sample: gyroscopes (3,) [rad/s] in SAE axes of the rear frame, their variances (3,), NaN: unknown.
+        """Use one sample: gyroscopes (3,) [rad/s] in SAE axes of the rear frame.
 
-        speed [m/s] positive; steer_torque [N m] since the last sample, 0 when none is known.
+        variance: (3,) of the gyroscopes, NaN: unknown. speed [m/s] positive; steer_torque [N m] since the
+        last sample, 0 when none is known.
         """
         if self._time_ns is not None and (time_ns - self._time_ns) > LONGEST_GAP * 1e9:
             self.restart(strike=False)

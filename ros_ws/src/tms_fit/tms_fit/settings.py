@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from tms_model import ParameterError
@@ -56,7 +57,7 @@ class FitSettings:
             )
 
 
-def _known(names: object, expected: tuple[str, ...], what: str) -> None:
-    for name in names:  # type: ignore[attr-defined]
+def _known(names: Iterable[str], expected: tuple[str, ...], what: str) -> None:
+    for name in names:
         if name not in expected:
             raise ParameterError(f"{what}: unknown {name!r}; expected of {', '.join(expected)}")

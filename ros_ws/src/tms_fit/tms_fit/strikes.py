@@ -1,12 +1,12 @@
-"""Strikes found from the lean rate alone, sample by sample, so that a live run and a recorded one find the same.
+"""Strikes found from the lean rate alone, sample by sample: a live run and a recorded one find the same.
 
 A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle itself
 does. A change counts as a strike when, within `rise` seconds,
 
-1. it is larger than `least_change`, six times the noise, and the fading memory of the swings just before (a bicycle that
-   rings down swings less each time);
-2. it is steep: its steepest 0.1 s (less what noise feigns), kept up for 0.2 s, would make up the change; a weave oscillation
-   is rounder;
+1. it is larger than `least_change`, six times the noise, and the fading memory of the swings just before (a
+   bicycle that rings down swings less each time);
+2. it is steep: its steepest 0.1 s (less what noise feigns), kept up for 0.2 s, would make up the change; a
+   weave oscillation is rounder;
 3. the last strike is at least `refractory` seconds ago.
 
 The free response starts where the push ends: at the extremum of the smoothed lean rate, or where its level is
@@ -67,7 +67,7 @@ class StrikeDetector:
         return 2.0 * self._settings.rise
 
     def push(self, time_ns: int, lean_rate: float) -> Strike | None:
-        """Take one sample (ascending times, [rad/s]); return the strike that this sample completes, if any."""
+        """Take one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
         if not math.isfinite(lean_rate):
             return None
         if self._time and time_ns - self._time[-1] > self._settings.rise * NANOSECONDS:
@@ -121,7 +121,7 @@ class StrikeDetector:
             self._memory.popleft()
 
     def _noise(self, until: int | None = None) -> float:
-        """Standard deviation of white noise on the lean rate, from the median absolute difference of neighbours."""
+        """Standard deviation of white noise, from the median absolute difference of neighbours."""
         rates = np.array(self._rate)[:until]
         if len(rates) < 10:
             return 0.0
@@ -160,7 +160,7 @@ class StrikeDetector:
 
     @staticmethod
     def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: float) -> int:
-        """Where the push ends: its extremum, or where the level was first reached when it then stays for over 50 ms."""
+        """Where the push ends: its extremum, or where its level was first reached to stay over 50 ms."""
         reached = base + int(
             np.argmax(smooth[base : peak + 1] >= smooth[peak] - 2.0 * noise / math.sqrt(5.0))
         )

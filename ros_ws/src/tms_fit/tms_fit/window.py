@@ -77,12 +77,12 @@ def make_window(
 
 
 def _integral(time: Array, values: Array) -> Array:
-    """Running trapezoidal integral, zero at the first sample. The lean angle it gives needs first-order accuracy only."""
+    """Running trapezoidal integral, zero at the first sample: good enough for a lean angle to first order."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
 
 
 def _feedback(torque: Array, lean_rate: Array) -> tuple[float, float]:
-    """Slope [N m s/rad] of the torque over the lean rate through the origin, and the share of the torque it explains."""
+    """Slope [N m s/rad] of torque over lean rate, and the share of the torque that it explains."""
     good = np.isfinite(torque) & np.isfinite(lean_rate)
     t, y = torque[good], lean_rate[good]
     if not t.any() or not y.any():

@@ -3,8 +3,8 @@
 Conventions of the whole project, told here and in docs/conventions.md:
 
 - SI units and radians everywhere; degrees only in YAML keys that end in `_deg`.
-- Model axes are SAE: x forward, y right, z down, origin at the rear wheel contact. Lean, steer and yaw to the right are
-  positive. `tms_model.frames` is the one place that turns them into REP-103 axes and back.
+- Model axes are SAE: x forward, y right, z down, origin at the rear wheel contact. Lean, steer and yaw to the
+  right are positive. `tms_model.frames` is the one place that turns them into REP-103 axes and back.
 - The state order is lean, steer, lean_rate, steer_rate (`tms_model.response.STATE`).
 - Arrays are float64; a run's times are float seconds since its start, integer nanoseconds at every border.
 """

@@ -65,7 +65,8 @@ def _parser() -> Parser:
 def _list(arguments: argparse.Namespace) -> None:
     bicycles = [load_bicycle(name) for name in bicycle_names()]
     if arguments.json:
-        return print_json({"bicycles": [{"name": b.name, "description": b.description} for b in bicycles]})
+        print_json({"bicycles": [{"name": b.name, "description": b.description} for b in bicycles]})
+        return
     for bicycle in bicycles:
         print(f"{bicycle.name:16} {bicycle.description}")
 
@@ -73,7 +74,8 @@ def _list(arguments: argparse.Namespace) -> None:
 def _show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     text = {key: getattr(bicycle, key) for key in ("description", "source", "uncertainty")}
     if arguments.json:
-        return print_json({"bicycle": bicycle.name, **text, "parameters": bicycle.numbers})
+        print_json({"bicycle": bicycle.name, **text, "parameters": bicycle.numbers})
+        return
     for key, value in text.items():
         print(f"{key}: {value}")
     for name, value in bicycle.numbers.items():
@@ -82,7 +84,8 @@ def _show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
 
 def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     if arguments.json:
-        return print_json({"bicycle": bicycle.name, **{k: m.tolist() for k, m in bicycle.canonical.items()}})
+        print_json({"bicycle": bicycle.name, **{k: m.tolist() for k, m in bicycle.canonical.items()}})
+        return
     for letter, matrix in bicycle.canonical.items():
         print(
             f"{letter:3} [[{matrix[0, 0]:.9g}, {matrix[0, 1]:.9g}], [{matrix[1, 0]:.9g}, {matrix[1, 1]:.9g}]]"
@@ -95,7 +98,8 @@ def _eigenvalues(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     roots = eigenvalues(bicycle, arguments.speed)
     if arguments.json:
         values = [{"re": float(root.real), "im": float(root.imag)} for root in roots]
-        return print_json({"bicycle": bicycle.name, "speed": arguments.speed, "eigenvalues": values})
+        print_json({"bicycle": bicycle.name, "speed": arguments.speed, "eigenvalues": values})
+        return
     for root in roots:
         print(f"{root.real:+.9f} {root.imag:+.9f}i 1/s")
 
@@ -104,7 +108,7 @@ def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     answer = stability(bicycle)
     if arguments.json:
         ranges = [[low, high] for low, high in answer.stable_speed_ranges]
-        return print_json(
+        print_json(
             {
                 "bicycle": bicycle.name,
                 "stable_speed_ranges": ranges,
@@ -112,6 +116,7 @@ def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
                 "capsize_speed": answer.capsize_speed,
             }
         )
+        return
     if not answer.stable_speed_ranges:
         print(f"{bicycle.name} is not self-stable at any speed")
     for low, high in answer.stable_speed_ranges:
@@ -128,8 +133,8 @@ def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
         and arguments.duration / arguments.step <= 1e6
     ):
         raise ParameterError(
-            f"duration and step: expected a positive step, and 1 to 1000000 of them, found {arguments.duration:g} s"
-            f" by {arguments.step:g} s"
+            "duration and step: expected a positive step, and 1 to 1000000 of them, found"
+            f" {arguments.duration:g} s by {arguments.step:g} s"
         )
     if not np.isfinite(arguments.lean_rate):
         raise ParameterError(f"lean-rate: expected a finite number of rad/s, found {arguments.lean_rate:g}")
@@ -141,17 +146,16 @@ def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     columns = {"time": times, **dict(zip(STATE, states.T, strict=True)), "yaw_rate": yaw_rate(system, states)}
     if arguments.json:
         series = {name: values.tolist() for name, values in columns.items()}
-        return print_json({"bicycle": bicycle.name, "speed": arguments.speed, **series})
+        print_json({"bicycle": bicycle.name, "speed": arguments.speed, **series})
+        return
     print(" ".join(f"{name:>12}" for name in columns))
     for row in zip(*columns.values(), strict=True):
         print(" ".join(f"{value:12.6f}" for value in row))
 
 
 def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    from tms_model.plot import (
-        eigenvalue_figure,
-        save_figure,
-    )  # matplotlib takes a second to import: only who plots pays for it
+    # matplotlib takes a second to import: only who plots pays for it
+    from tms_model.plot import eigenvalue_figure, save_figure
 
     save_figure(eigenvalue_figure(bicycle), Path(arguments.output))
 

@@ -48,8 +48,9 @@ class Bicycle:
             or np.linalg.eigvalsh(self.mass)[0] <= 0.0
         ):
             raise ParameterError(
-                f"bicycle {self.name}: expected a symmetric positive definite mass matrix M, found {self.mass.tolist()};"
-                " some combination of lean and steer moves no mass: check masses, inertias and centres of mass"
+                f"bicycle {self.name}: expected a symmetric positive definite mass matrix M, found"
+                f" {self.mass.tolist()}; some combination of lean and steer moves no mass: check masses,"
+                " inertias and centres of mass"
             )
 
     @property

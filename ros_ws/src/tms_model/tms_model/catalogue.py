@@ -32,13 +32,14 @@ def load_bicycle(name: str) -> Bicycle:
     path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
     if path.parent == FOLDER and name not in bicycle_names():
         raise ParameterError(
-            f"unknown bicycle {name!r}: expected one of {', '.join(bicycle_names())}, or the path of a .yaml file"
+            f"unknown bicycle {name!r}: expected one of {', '.join(bicycle_names())}, or the path of a .yaml"
+            " file"
         )
     return _bicycle(path.stem, read_yaml(path), str(path))
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML mapping from a file, by the safe loader. Raises ParameterError when it can't be read or is no mapping."""
+    """A YAML mapping from a file, by the safe loader. Raises ParameterError when there is none to be read."""
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -51,7 +52,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def check_keys(mapping: Any, required: tuple[str, ...], where: str, optional: tuple[str, ...] = ()) -> None:
-    """Raise ParameterError unless `mapping` is a dictionary with all `required` and only `required` or `optional` keys."""
+    """Raise ParameterError unless `mapping` is a dictionary of all `required` and perhaps `optional` keys."""
     if not isinstance(mapping, dict):
         raise ParameterError(f"{where}: expected keys {', '.join(required)}, found {type(mapping).__name__}")
     missing = [key for key in required if key not in mapping]
@@ -81,6 +82,7 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
         values = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
         return assemble(name, WhippleParameters(**values), **text)
     check_keys(document["matrices"], ("M", "C1", "K0", "K2"), f"{where}: matrices")
+    geometry = _numbers(document["geometry"], _GEOMETRY, f"{where}: geometry")
     matrices = {key: _matrix(value, f"{where}: {key}") for key, value in document["matrices"].items()}
     return Bicycle(
         name=name,
@@ -88,8 +90,13 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
         damping=matrices["C1"],
         stiffness0=matrices["K0"],
         stiffness2=matrices["K2"],
-        **_numbers(document["geometry"], _GEOMETRY, f"{where}: geometry"),
-        **text,
+        wheelbase=geometry["wheelbase"],
+        trail=geometry["trail"],
+        steer_axis_tilt=geometry["steer_axis_tilt"],
+        gravity=geometry["gravity"],
+        description=text["description"],
+        source=text["source"],
+        uncertainty=text["uncertainty"],
     )
 
 

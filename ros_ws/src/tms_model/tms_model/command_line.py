@@ -1,4 +1,4 @@
-"""What all command lines share: one line on stderr and exit code 2 for bad input, one JSON document on stdout."""
+"""What all command lines share: one line on stderr and exit code 2 for bad input, one JSON on stdout."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ class Parser(argparse.ArgumentParser):
     """An ArgumentParser whose errors are one line, with the command to type for help."""
 
     def error(self, message: str) -> NoReturn:
+        """Say in one line what is wrong with the arguments and leave with exit code 2."""
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see '{self.prog} --help')\n")
 
 
@@ -23,7 +24,10 @@ def run(
     bad_input: tuple[type[Exception], ...],
     argv: Sequence[str] | None = None,
 ) -> int:
-    """Run `main(argv)`; return the exit code: 0, or 2 after one line about the bad input. Defects keep their traceback."""
+    """Run `main(argv)`; return the exit code: 0, or 2 after one line about the bad input.
+
+    Defects keep their traceback.
+    """
     try:
         main(argv)
         sys.stdout.flush()

@@ -1,7 +1,8 @@
-"""The one place where signs change: SAE model axes (x forward, y right, z down) and REP-103 (x forward, y left, z up).
+"""The one place where signs change: SAE model axes and REP-103.
 
-The two differ by half a turn about x. A vector keeps x and flips y and z; lean and lean rate (about x) keep
-their sign, steer, yaw and yaw rate (about z) flip.
+SAE: x forward, y right, z down. REP-103: x forward, y left, z up. The two differ by half a turn about x. A
+vector keeps x and flips y and z; lean and lean rate (about x) keep their sign, steer, yaw and yaw rate (about
+z) flip.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 
 def flip_axes(vectors: Array) -> Array:
     """Vectors (..., 3) from SAE to REP-103 axes, or back: the change is its own inverse."""
-    return np.asarray(vectors) * _FLIP
+    flipped: Array = np.asarray(vectors, dtype=float) * _FLIP
+    return flipped
 
 
 def rotation_matrix(quaternion: Array) -> Array:
-    """Rotation matrix (3, 3) of a quaternion x, y, z, w (ROS order). Raises ParameterError unless it has unit length."""
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w (ROS order). ParameterError unless of unit length."""
     q = np.asarray(quaternion, dtype=float)
     if q.shape != (4,) or not abs(float(q @ q) - 1.0) < 1e-6:
         raise ParameterError(f"orientation: expected a unit quaternion x, y, z, w, found {q.tolist()}")
@@ -58,7 +60,7 @@ def imu_to_rear_frame(vectors: Array, orientation: Array) -> Array:
 
 
 def rear_frame_to_imu(vectors: Array, orientation: Array) -> Array:
-    """Vectors (n, 3) in SAE axes of the rear frame -> REP-103 axes of the imu frame; inverse of imu_to_rear_frame."""
+    """Vectors (n, 3) in SAE axes of the rear frame -> REP-103 axes of the imu frame."""
     return _rotate(flip_axes(vectors), rotation_matrix(orientation).T)
 
 

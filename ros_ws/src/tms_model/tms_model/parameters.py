@@ -1,4 +1,4 @@
-"""The 25 parameters of the Whipple bicycle (24 of the bicycle and its gravity; the 25th, speed, belongs to a run).
+"""The parameters of the Whipple bicycle; speed, which belongs to a run, is not among them.
 
 Reference: J. P. Meijaard, J. M. Papadopoulos, A. Ruina and A. L. Schwab, "Linearized dynamics equations for
 the balance and steer of a bicycle: a benchmark and review", Proc. R. Soc. A 463 (2007), doi
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 
 
 class ParameterError(ValueError):
-    """A parameter, name or setting that can't be used. The text says what was expected, found, and what to do."""
+    """A parameter, name or setting that can't be used: text says what was expected, found, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,20 @@ class WhippleParameters:
                 raise ParameterError(f"{name}: expected zero or more, found {getattr(self, name)}")
         if abs(self.steer_axis_tilt) >= math.pi / 2:
             raise ParameterError(
-                f"steer_axis_tilt: expected less than 90 deg either way, found {math.degrees(self.steer_axis_tilt):g} deg"
+                "steer_axis_tilt: expected less than 90 deg either way, found"
+                f" {math.degrees(self.steer_axis_tilt):g} deg"
             )
         for wheel in ("rear_wheel", "front_wheel"):
             if getattr(self, f"{wheel}_inertia_yy") != 0.0 and getattr(self, f"{wheel}_radius") == 0.0:
                 raise ParameterError(
                     f"{wheel}_radius: expected a positive radius, found 0 with {wheel}_inertia_yy"
-                    f" {getattr(self, f'{wheel}_inertia_yy')}; a wheel without radius must be without spin inertia"
+                    f" {getattr(self, f'{wheel}_inertia_yy')}; a wheel without radius must be without spin"
+                    " inertia"
                 )
 
     @property
     def rear_spin(self) -> float:
-        """Spin angular momentum of the rear wheel per unit speed, S_R = I_Ryy / r_R [kg m], 0 for a massless point wheel."""
+        """Spin angular momentum of the rear wheel per unit speed, S_R = I_Ryy / r_R [kg m]."""
         return self.rear_wheel_inertia_yy / self.rear_wheel_radius if self.rear_wheel_inertia_yy else 0.0
 
     @property

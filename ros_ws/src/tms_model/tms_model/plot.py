@@ -1,4 +1,4 @@
-"""Eigenvalues against speed, as the field draws them, and how every figure of the project reaches the disk."""
+"""Eigenvalues against speed, as the field draws them; how every figure of the project reaches the disk."""
 
 from __future__ import annotations
 

@@ -33,9 +33,10 @@ class LinearSystem:
 
 
 def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> Array:
-    """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s], with the steer torque T_steer = lean_rate_gain * lean rate.
+    """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s].
 
-    lean_rate_gain in N m s/rad; positive steers into the fall.
+    The steer torque is T_steer = lean_rate_gain * lean rate. lean_rate_gain in N m s/rad; positive steers
+    into the fall.
     """
     stiffness = bicycle.gravity * bicycle.stiffness0 + speed**2 * bicycle.stiffness2
     damping = speed * bicycle.damping
@@ -49,7 +50,7 @@ def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) ->
 
 
 def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> LinearSystem:
-    """The bicycle at a constant speed [m/s], with optional lean-rate feedback on the steer torque [N m s/rad].
+    """The bicycle at constant speed [m/s], with optional lean-rate feedback on the steer torque [N m s/rad].
 
     Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response
     to compare).
@@ -63,9 +64,9 @@ def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -
 
 
 def discretise(system: LinearSystem, step: float) -> tuple[Array, Array]:
-    """Exact transition over `step` [s]: x(t + step) = phi x(t) + gamma T with T held constant. Shapes (4, 4) and (4,).
+    """Exact transition over `step` [s]: x(t + step) = phi x(t) + gamma T with T held constant.
 
-    Both blocks come from one matrix exponential (Van Loan).
+    Shapes (4, 4) and (4,). Both blocks come from one matrix exponential (Van Loan).
     """
     size = len(system.b)
     augmented = np.zeros((size + 1, size + 1))
@@ -100,7 +101,7 @@ def response(system: LinearSystem, initial: Array, times: Array, steer_torque: A
 
 
 def with_heading(system: LinearSystem) -> LinearSystem:
-    """The same system with the heading (yaw angle, SAE) as a fifth state, integrated as exactly as the others."""
+    """The same system with the heading (yaw angle, SAE) as fifth state, integrated as exactly."""
     a = np.zeros((5, 5))
     a[:4, :4], a[4, :4] = system.a, system.yaw
     return LinearSystem(a, np.append(system.b, 0.0), np.append(system.yaw, 0.0), system.speed)

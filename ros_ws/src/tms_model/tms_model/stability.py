@@ -1,15 +1,17 @@
-"""Eigenvalues, characteristic polynomial and stable speed ranges of the uncontrolled bicycle (SOM chapters 3 and 4).
+"""Eigenvalues, characteristic polynomial and stable speed ranges of the uncontrolled bicycle.
 
-Reference: Kooijman et al. 2011, supplement, doi 10.1126/science.1201959.
+Reference: Kooijman et al. 2011, supplement (SOM), chapters 3 and 4, doi 10.1126/science.1201959.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial import polynomial as P
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle
 from tms_model.response import state_matrix
@@ -26,14 +28,14 @@ class Stability:
     capsize_speed: float | None  # [m/s] lowest speed at which a real root becomes unstable (E = 0)
 
 
-def eigenvalues(bicycle: Bicycle, speed: float) -> Array:
-    """The four roots of det(M s^2 + v C1 s + g K0 + v^2 K2) = 0 (Eq. 3.3) [1/s], complex (4,), sorted by re, then im."""
-    roots = np.linalg.eigvals(state_matrix(bicycle, speed)).astype(complex)
+def eigenvalues(bicycle: Bicycle, speed: float) -> NDArray[np.complex128]:
+    """Roots of det(M s^2 + v C1 s + g K0 + v^2 K2) = 0 (3.3) [1/s], complex (4,), sorted by re, then im."""
+    roots: NDArray[np.complex128] = np.linalg.eigvals(state_matrix(bicycle, speed)).astype(np.complex128)
     return roots[np.lexsort((roots.imag, roots.real))]
 
 
 def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
-    """Coefficients A...E of Eq. (4.1) and the Routh determinant X = BCD - ADD - EBB (4.3), each as polynomial in speed.
+    """Coefficients A...E of Eq. (4.1) and the Routh determinant X = BCD - ADD - EBB (4.3), over speed.
 
     Each value is an array of coefficients, the constant first: A (1,), B (2,), C (3,), D (4,), E (3,), X
     (7,); powers that Eq. (4.2) leaves out are exactly zero.
@@ -47,11 +49,13 @@ def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
         out: list[Array] = [np.zeros(1)] * 5
         for i, left in enumerate(a):
             for j, right in enumerate(b):
-                out[i + j] = P.polyadd(out[i + j], P.polymul(left, right))
+                out[i + j] = np.asarray(
+                    polynomial.polyadd(out[i + j], polynomial.polymul(left, right)), float
+                )
         return out
 
     determinant = [
-        P.polysub(left, right)
+        polynomial.polysub(left, right)
         for left, right in zip(
             product(entry(0, 0), entry(1, 1)), product(entry(0, 1), entry(1, 0)), strict=True
         )
@@ -64,16 +68,18 @@ def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
             exact[power] = coefficients[power] if power < len(coefficients) else 0.0
         result[letter] = exact
     a, b, cc, d, e = (result[letter] for letter in "ABCDE")
-    x = P.polysub(
-        P.polysub(P.polymul(P.polymul(b, cc), d), P.polymul(a, P.polymul(d, d))),
-        P.polymul(e, P.polymul(b, b)),
+    x = polynomial.polysub(
+        polynomial.polysub(
+            polynomial.polymul(polynomial.polymul(b, cc), d), polynomial.polymul(a, polynomial.polymul(d, d))
+        ),
+        polynomial.polymul(e, polynomial.polymul(b, b)),
     )
     result["X"] = np.pad(x, (0, 7 - len(x)))
     return {letter: result[letter] for letter in "ABCDEX"}
 
 
 def stability(bicycle: Bicycle) -> Stability:
-    """Stable speed ranges, bounded by the positive roots of E and X (SOM chapter 4): solved for, not scanned."""
+    """Stable speed ranges, bounded by positive roots of E and X (SOM chapter 4): solved for, not scanned."""
     coefficients = characteristic_polynomial(bicycle)
     real_crossings = _positive_roots(coefficients["E"])
     weave_crossings = _positive_roots(coefficients["X"])
@@ -84,7 +90,7 @@ def stability(bicycle: Bicycle) -> Stability:
     )
     edges = [0.0, *cuts, math.inf]
     ranges: list[tuple[float, float]] = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         inside = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
         if (eigenvalues(bicycle, inside).real < 0.0).all():
             if ranges and ranges[-1][1] == low:
@@ -98,10 +104,10 @@ def stability(bicycle: Bicycle) -> Stability:
 
 
 def _positive_roots(coefficients: Array) -> list[float]:
-    """Real positive roots, sorted. The polynomials here are odd or even in speed, so roots are sought in speed squared."""
+    """Real positive roots, sorted. The polynomials are odd or even in speed: solved for its square."""
     nonzero = np.flatnonzero(coefficients)
     if len(nonzero) < 2:
         return []
-    squared = P.polyroots(coefficients[nonzero[0] : nonzero[-1] + 1 : 2])
+    squared = polynomial.polyroots(coefficients[nonzero[0] : nonzero[-1] + 1 : 2])
     real = squared[np.abs(squared.imag) <= 1e-9 * np.abs(squared)].real
     return sorted(float(root) for root in np.sqrt(real[real > 0.0]))

@@ -29,11 +29,15 @@ def _parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser("list", help="scenarios", description="scenarios")
     one.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    one = commands.add_parser("run", help="run a scenario into a bag", description="run a scenario into a bag")
+    one = commands.add_parser(
+        "run", help="run a scenario into a bag", description="run a scenario into a bag"
+    )
     one.add_argument("scenario", help="name (see `list`) or .yaml file")
     one.add_argument("-o", "--output", required=True, help="bag folder to make")
     one.add_argument("--seed", type=int, help="seed of all noise (default: the scenario's)")
-    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a key, e.g. strike.time=1.5")
+    one.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a key, e.g. strike.time=1.5"
+    )
     one.add_argument("--force", action="store_true", help="replace the bag if it exists")
     return parser
 
@@ -41,7 +45,8 @@ def _parser() -> Parser:
 def _list(arguments: argparse.Namespace) -> None:
     scenarios = {name: description(name) for name in scenario_names()}
     if arguments.json:
-        return print_json({"scenarios": [{"name": name, "description": text} for name, text in scenarios.items()]})
+        print_json({"scenarios": [{"name": name, "description": text} for name, text in scenarios.items()]})
+        return
     for name, text in scenarios.items():
         print(f"{name:18} {text}")
 
@@ -56,7 +61,9 @@ def _run(arguments: argparse.Namespace) -> None:
         for record in result.records():
             bag.write(record, topics.QOS[record.topic.removeprefix("/")])
     if result.fallen_at is not None:
-        print(f"the bicycle falls {result.fallen_at:.2f} s after the start; the run ends there", file=sys.stderr)
+        print(
+            f"the bicycle falls {result.fallen_at:.2f} s after the start; the run ends there", file=sys.stderr
+        )
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tms_model import ParameterError
 from tms_model.bicycle import Array
 from tms_model.catalogue import check_keys, number, read_yaml
@@ -55,7 +56,9 @@ def load_imu(name: str) -> ImuGrade:
     return ImuGrade(**values)
 
 
-def measure(truth: Array, std: float, limit: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Readings (n, 3) of three axes: truth (n, 3) plus white noise, cut off at +-limit; and which were cut off (n, 3)."""
+def measure(
+    truth: Array, std: float, limit: float, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Readings (n, 3): truth (n, 3) plus white noise, cut off at +-limit; and which were cut off (n, 3)."""
     noisy = truth + std * rng.standard_normal(truth.shape)
     return np.clip(noisy, -limit, limit), np.abs(noisy) >= limit

@@ -1,4 +1,4 @@
-"""A simulated run: the bicycle rolls upright at constant speed, is struck, and moves freely; sensors measure it.
+"""A simulated run: the bicycle rolls upright at constant speed, is struck, moves freely; sensors measure it.
 
 The motion is exact between samples (matrix exponentials), so every topic has its own rate without error.
 """
@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Record, conversion
 from tms_bag.record import merged
-from tms_bag.samples import ImuSamples, LeanYawSamples, RunInfo, SpeedSamples, StateSamples, SteerTorqueSamples
+from tms_bag.samples import (
+    ImuSamples,
+    LeanYawSamples,
+    RunInfo,
+    SpeedSamples,
+    StateSamples,
+    SteerTorqueSamples,
+)
 from tms_model import Bicycle, linear_system, load_bicycle, response, yaw_rate
 from tms_model.bicycle import Array
 from tms_model.frames import flip_axes, imu_to_rear_frame, quaternion, rear_frame_to_imu
@@ -93,11 +100,13 @@ def _stamps(rate: float, end: float) -> NDArray[np.int64]:
 
 
 def _states(scenario: Scenario, system: LinearSystem, time_ns: NDArray[np.int64]) -> Array:
-    """States and heading (n, 5): at rest before the strike, the free response from the strike's very instant on."""
+    """States and heading (n, 5): at rest before the strike, free response from its very instant on."""
     since = (time_ns - round(scenario.number("strike.time") * 1e9)) / 1e9
     after = since >= 0.0
     states = np.zeros((len(time_ns), 5))
-    struck = np.array([0.0, 0.0, scenario.number("strike.lean_rate"), scenario.number("strike.steer_rate"), 0.0])
+    struck = np.array(
+        [0.0, 0.0, scenario.number("strike.lean_rate"), scenario.number("strike.steer_rate"), 0.0]
+    )
     states[after] = response(with_heading(system), struck, since[after])
     return states
 
@@ -113,7 +122,11 @@ def _end(scenario: Scenario, system: LinearSystem) -> tuple[float, float | None]
 
 
 def _measure_imu(
-    scenario: Scenario, bicycle: Bicycle, system: LinearSystem, time_ns: NDArray[np.int64], rng: np.random.Generator
+    scenario: Scenario,
+    bicycle: Bicycle,
+    system: LinearSystem,
+    time_ns: NDArray[np.int64],
+    rng: np.random.Generator,
 ) -> tuple[ImuSamples, LeanYawSamples]:
     states = _states(scenario, system, time_ns)[:, :4]
     changes = states @ system.a.T
@@ -129,7 +142,9 @@ def _measure_imu(
     position = flip_axes(np.array(scenario.triple("imu.position")))
     orientation = quaternion(*np.radians(scenario.triple("imu.orientation_deg")))
     grade, rate = load_imu(scenario.text("imu.grade")), scenario.number("imu.rate")
-    true_rates, true_force = (rear_frame_to_imu(v, orientation) for v in ideal_imu(motion, position, bicycle.gravity))
+    true_rates, true_force = (
+        rear_frame_to_imu(v, orientation) for v in ideal_imu(motion, position, bicycle.gravity)
+    )
     rates, rates_cut = measure(true_rates, grade.gyroscope_std(rate), grade.gyroscope_limit, rng)
     force, force_cut = measure(true_force, grade.accelerometer_std(rate), grade.accelerometer_limit, rng)
     stamps = scenario.integer("start_time_ns") + time_ns

@@ -1,7 +1,7 @@
 """Scenarios as data: what is run, how it is struck, how it is measured.
 
-One table, `KEYS`, says for each key its kind, unit, range and meaning. The YAML files in `scenarios/`, the command line's
-`--set` and the simulator node's parameters all go by it.
+One table, `KEYS`, says for each key its kind, unit, range and meaning. The YAML files in `scenarios/`, the
+command line's `--set` and the simulator node's parameters all go by it.
 """
 
 from __future__ import annotations
@@ -35,13 +35,23 @@ KEYS: dict[str, Key] = {
     "speed": Key(float, "constant forward speed [m/s]", 0.1, 30.0),
     "duration": Key(float, "length of the run [s]", 0.1, 3600.0),
     "strike.time": Key(float, "when the strike falls [s since the start]", 0.0, 3600.0),
-    "strike.lean_rate": Key(float, "lean rate right after the strike, positive to the right [rad/s]", -10.0, 10.0),
-    "strike.steer_rate": Key(float, "steer rate right after the strike, positive to the right [rad/s]", -100.0, 100.0),
-    "steer_torque.lean_rate_gain": Key(float, "steer torque per lean rate, 0: none [N m s/rad]", -1000.0, 1000.0),
+    "strike.lean_rate": Key(
+        float, "lean rate right after the strike, positive to the right [rad/s]", -10.0, 10.0
+    ),
+    "strike.steer_rate": Key(
+        float, "steer rate right after the strike, positive to the right [rad/s]", -100.0, 100.0
+    ),
+    "steer_torque.lean_rate_gain": Key(
+        float, "steer torque per lean rate, 0: none [N m s/rad]", -1000.0, 1000.0
+    ),
     "imu.grade": Key(str, "name of the inertial sensor"),
     "imu.rate": Key(float, "samples a second [Hz]", 1.0, 4000.0),
-    "imu.position": Key(tuple, "place in rear_frame, REP-103 axes, from the rear wheel contact [m]", -10.0, 10.0),
-    "imu.orientation_deg": Key(tuple, "roll, pitch, yaw of imu_link in rear_frame, REP-103 [deg]", -360.0, 360.0),
+    "imu.position": Key(
+        tuple, "place in rear_frame, REP-103 axes, from the rear wheel contact [m]", -10.0, 10.0
+    ),
+    "imu.orientation_deg": Key(
+        tuple, "roll, pitch, yaw of imu_link in rear_frame, REP-103 [deg]", -360.0, 360.0
+    ),
     "speed_sensor.rate": Key(float, "samples a second [Hz]", 0.1, 1000.0),
     "speed_sensor.noise": Key(float, "standard deviation of one sample [m/s]", 0.0, 10.0),
     "state_rate": Key(float, "samples of the truth a second [Hz]", 1.0, 4000.0),
@@ -52,7 +62,7 @@ KEYS: dict[str, Key] = {
 
 @dataclass(frozen=True)
 class Scenario:
-    """A checked scenario; `values` holds every key of KEYS, SI units (and degrees in keys that end in _deg)."""
+    """A checked scenario; `values` holds every key of KEYS, SI units (degrees in keys that end in _deg)."""
 
     name: str
     values: dict[str, Value]
@@ -99,7 +109,8 @@ def load_scenario(name: str, changes: dict[str, Any] | None = None) -> Scenario:
     path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
     if path.parent == FOLDER and name not in scenario_names():
         raise ParameterError(
-            f"unknown scenario {name!r}: expected one of {', '.join(scenario_names())}, or the path of a .yaml file"
+            f"unknown scenario {name!r}: expected one of {', '.join(scenario_names())}, or the path of a"
+            " .yaml file"
         )
     values = _flat(read_yaml(path), str(path))
     for key, value in (changes or {}).items():
@@ -141,7 +152,8 @@ def _flat(document: dict[str, Any], where: str) -> dict[str, Any]:
     for group, leaves in groups.items():
         check_keys(document[group], tuple(leaves), f"{where}: {group}")
     return {
-        key: document[key.rpartition(".")[0]][key.rpartition(".")[2]] if "." in key else document[key] for key in KEYS
+        key: document[key.rpartition(".")[0]][key.rpartition(".")[2]] if "." in key else document[key]
+        for key in KEYS
     }
 
 
@@ -153,7 +165,9 @@ def _check(key: str, value: Any) -> Value:
             return value
         raise ParameterError(f"{key}: expected {rule.meaning}, found {value!r}")
     items = list(value) if rule.kind is tuple and isinstance(value, list | tuple) else [value]
-    wanted = f"{rule.meaning}, from {rule.low:g} to {rule.high:g}" + (", three numbers" if rule.kind is tuple else "")
+    wanted = f"{rule.meaning}, from {rule.low:g} to {rule.high:g}" + (
+        ", three numbers" if rule.kind is tuple else ""
+    )
     if len(items) != (3 if rule.kind is tuple else 1):
         raise ParameterError(f"{key}: expected {wanted}, found {value!r}")
     for item in items:

@@ -28,7 +28,9 @@ from tms_fit.prediction import predictor
 from tms_fit.settings import BIASES, INITIAL
 from tms_fit.window import Window
 
-PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give; taken out again in the end
+# Prior standard deviation of a free parameter, per standard error that the data give; taken out again in the
+# end.
+PRIOR = 10.0
 
 
 def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Estimate:
@@ -76,7 +78,7 @@ def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> 
 def _smooth(
     window: Window, prior: dict[str, float], fixed: dict[str, float], noise: float
 ) -> tuple[Array, Array]:
-    """Smoothed values (p,) and covariance (p, p) of the parameters in `prior`, at the start of the free response.
+    """Smoothed values (p,) and covariance (p, p) of the parameters in `prior`, at the free response's start.
 
     The prior (standard deviations by name) serves the recursion and is taken out exactly at the end, so that
     the answer is what the data alone say: with curvature L and gradient l of the adjoint pass at the start,
@@ -144,7 +146,7 @@ def _measurement_rows(window: Window, names: tuple[str, ...]) -> Array:
 def _update(
     kalman: KalmanFilter, rows: Array, sample: Array, noise: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Use the channels that were measured; return H, K, innovation and inverse innovation covariance of what was used."""
+    """Use the measured channels; return their H, K, innovation and inverse of its covariance."""
     size = len(kalman.x)
     good = np.isfinite(sample)
     if not good.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,10 +58,11 @@ def estimate(
         covariance = covariance + np.outer(shift, shift) * window.delay_std**2
     predicted = predictor(window).predict({**fixed, **dict(zip(free, solution.values, strict=True))})
     autocorrelation = lag_one_autocorrelation(window, predicted)
+    used = " and ".join(measured_channels(window))
     return Estimate(
         estimator=name,
         status="ok",
-        message=f"linear least squares on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s{caution(autocorrelation)}",
+        message=f"linear least squares on {used} over {window.time[-1]:.2f} s{caution(autocorrelation)}",
         names=free,
         values=solution.values,
         covariance=covariance,
@@ -92,9 +94,10 @@ def solve(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Sol
 def refine_start(
     window: Window, free: tuple[str, ...], fixed: dict[str, float], longest_delay: float
 ) -> Window:
-    """The window with the strike's instant between two samples estimated: the delay in [0, longest_delay] that fits best.
+    """The window with the strike's instant between two samples estimated: the best-fitting delay.
 
-    Its standard deviation comes from the curvature of the residual sum, at most that of a uniform guess.
+    The delay [s] lies between 0 and `longest_delay`. Its standard deviation comes from the curvature of the
+    residual sum, at most that of a uniform guess.
     """
     if too_short(window, free) or not len(solve(window, free, fixed).values):
         return window
@@ -115,7 +118,7 @@ def refine_start(
     return replace(window, delay=float(best.x), delay_std=float(std))
 
 
-def sensitivity(window: Window, values) -> Array:  # type: ignore[no-untyped-def]
+def sensitivity(window: Window, values: Callable[[Window], Array]) -> Array:
     """Derivative (p,) of `values(window)` with respect to the window's delay [1/s]."""
     low, high = max(window.delay - DELAY_STEP, 0.0), window.delay + DELAY_STEP
     return (values(replace(window, delay=high)) - values(replace(window, delay=low))) / (high - low)
@@ -133,5 +136,9 @@ def measured_channels(window: Window) -> list[str]:
 def _only(window: Window, channels: tuple[str, ...]) -> Window:
     if channels == CHANNELS:
         return window
-    absent = {channel: np.full(len(window.time), np.nan) for channel in CHANNELS if channel not in channels}
-    return replace(window, **absent)
+    absent = np.full(len(window.time), np.nan)
+    return replace(
+        window,
+        lean_rate=window.lean_rate if "lean_rate" in channels else absent,
+        yaw_rate=window.yaw_rate if "yaw_rate" in channels else absent,
+    )

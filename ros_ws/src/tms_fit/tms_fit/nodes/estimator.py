@@ -1,9 +1,10 @@
-"""Estimator: filter state after every IMU sample, and an estimate of the initial lean rate after every strike."""
+"""Estimator: filter state after every IMU sample, estimates of the initial lean rate after every strike."""
 
 from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -22,7 +23,7 @@ from tms_fit.settings import LINEAR, FitSettings
 DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
 
 
-class Estimator(Node):  # type: ignore[misc]
+class Estimator(Node):
     """Node that carries messages to and from a LiveFit."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -88,7 +89,7 @@ class Estimator(Node):  # type: ignore[misc]
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         kind = message_class(topics.TYPES[topic])
-        self.create_subscription(kind, topic, lambda data: self._take(topic, data), profile, raw=True)
+        self.create_subscription(kind, topic, partial(self._take, topic), profile, raw=True)
 
     def _take(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()

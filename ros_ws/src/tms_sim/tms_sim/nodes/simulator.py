@@ -26,10 +26,11 @@ from tms_sim.run import simulate
 from tms_sim.scenario import KEYS, Scenario, load_scenario
 
 TICK = 0.002  # [s] of real time between looks at the clock
-LARGEST_STEP = 250_000_000  # [ns] of simulated time published at once: a late tick must not outrun the subscribers' history
+# [ns] of simulated time published at once: a late tick must not outrun the subscribers' history.
+LARGEST_STEP = 250_000_000
 
 
-class Simulator(Node):  # type: ignore[misc]
+class Simulator(Node):
     """Node that publishes one run and ends."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -37,30 +38,43 @@ class Simulator(Node):  # type: ignore[misc]
         scenario = self._scenario()
         declare(self, "rate", 1.0, "simulated seconds per real second", 0.01, 100.0, read_only=False)
         clock = declare(
-            self, "clock", "simulated", "'simulated': own time from start_time_ns on, published on /clock; 'node': the node's"
+            self,
+            "clock",
+            "simulated",
+            "'simulated': own time from start_time_ns on, published on /clock; 'node': the node's",
         )
         if clock not in ("simulated", "node"):
             raise ParameterError(f"parameter clock: expected 'simulated' or 'node', found {clock!r}")
-        self._wanted = declare(self, "wait_for_subscribers", 0, "subscribers of each topic to wait for", 0, 100)
+        self._wanted = declare(
+            self, "wait_for_subscribers", 0, "subscribers of each topic to wait for", 0, 100
+        )
         self._patience = declare(self, "wait_timeout", 30.0, "longest wait for subscribers [s]", 0.0, 3600.0)
         self._clock_publisher = None
         if clock == "simulated":
             profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", profile)
         else:
-            scenario = replace(scenario, values={**scenario.values, "start_time_ns": self.get_clock().now().nanoseconds})
+            scenario = replace(
+                scenario, values={**scenario.values, "start_time_ns": self.get_clock().now().nanoseconds}
+            )
         run = simulate(scenario, np.random.default_rng(scenario.integer("seed")))
         self._records, self._sent = list(run.records()), 0
         self._now_ns = scenario.integer("start_time_ns")
-        self._own_clock = Clock(clock_type=ClockType.STEADY_TIME) if clock == "simulated" else self.get_clock()
+        self._own_clock = (
+            Clock(clock_type=ClockType.STEADY_TIME) if clock == "simulated" else self.get_clock()
+        )
         kinds = {record.topic.removeprefix("/"): record.type for record in self._records}
         self._outputs = {
-            f"/{topic}": self.create_publisher(message_class(kind), topic, offered_profile([topics.QOS[topic]], 1))
+            f"/{topic}": self.create_publisher(
+                message_class(kind), topic, offered_profile([topics.QOS[topic]], 1)
+            )
             for topic, kind in kinds.items()
         }
         report_every_second(self, self._report)
         if run.fallen_at is not None:
-            self.get_logger().warning(f"the bicycle falls {run.fallen_at:.2f} s after the start; the run ends there")
+            self.get_logger().warning(
+                f"the bicycle falls {run.fallen_at:.2f} s after the start; the run ends there"
+            )
 
     def run(self) -> None:
         """Publish the whole run, at its pace."""
@@ -84,15 +98,17 @@ class Simulator(Node):  # type: ignore[misc]
             default = list(value) if isinstance(value, tuple) else value
             limits = (KEYS[key].low, KEYS[key].high) if isinstance(value, int | float) else (None, None)
             changes[key] = declare(self, key, default, KEYS[key].meaning, *limits)
-        return load_scenario(name, {key: list(v) if KEYS[key].kind is tuple else v for key, v in changes.items()})
+        return load_scenario(
+            name, {key: list(v) if KEYS[key].kind is tuple else v for key, v in changes.items()}
+        )
 
     def _wait_for_subscribers(self) -> None:
         deadline = time.monotonic() + self._patience
         while lacking := [t for t, p in self._outputs.items() if p.get_subscription_count() < self._wanted]:
             if time.monotonic() > deadline:
                 raise RecordingError(
-                    f"expected {self._wanted} subscribers of each topic within {self._patience:g} s, found fewer of"
-                    f" {', '.join(lacking)}; start them, or set wait_for_subscribers to 0"
+                    f"expected {self._wanted} subscribers of each topic within {self._patience:g} s, found"
+                    f" fewer of {', '.join(lacking)}; start them, or set wait_for_subscribers to 0"
                 )
             rclpy.spin_once(self, timeout_sec=0.02)
 
