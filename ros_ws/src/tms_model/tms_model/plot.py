@@ -51,6 +51,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         raise ParameterError(f"{path}: expected a name that ends in .png, .svg or .pdf")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(unfinished, format=kind, dpi=150)
         unfinished.replace(path)
     except OSError as error:
