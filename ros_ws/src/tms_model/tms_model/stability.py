@@ -17,13 +17,14 @@ from tms_model.bicycle import Array, Bicycle
 from tms_model.response import state_matrix
 
 
+ROUNDING = 1e-12  # share of the terms' sizes below which their sum is called zero
+
+
 @dataclass(frozen=True)
 class Stability:
     """Where the uncontrolled bicycle is asymptotically stable."""
 
-    stable_speed_ranges: tuple[
-        tuple[float, float], ...
-    ]  # [m/s] open intervals, the upper end may be infinite
+    stable_speed_ranges: tuple[tuple[float, float], ...]  # [m/s] open intervals, the last may have no end
     weave_speed: float | None  # [m/s] lowest speed at which an unstable oscillation becomes stable (X = 0)
     capsize_speed: float | None  # [m/s] lowest speed at which a real root becomes unstable (E = 0)
 
@@ -38,69 +39,70 @@ def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
     """Coefficients A...E of Eq. (4.1) and the Routh determinant X = BCD - ADD - EBB (4.3), over speed.
 
     Each value is an array of coefficients, the constant first: A (1,), B (2,), C (3,), D (4,), E (3,), X
-    (7,); powers that Eq. (4.2) leaves out are exactly zero.
+    (7,); powers that Eqs. (4.2) and (4.3) leave out are exactly zero, and so is what only rounding tells from
+    zero: on a two-mass skate E_2 and X_6 vanish, and a last digit in their place would make up a crossing.
     """
     m, c, k0, k2 = bicycle.mass, bicycle.damping, bicycle.gravity * bicycle.stiffness0, bicycle.stiffness2
-
-    def entry(i: int, j: int) -> list[Array]:  # powers of s: 0, 1, 2; each a polynomial in v
-        return [np.array([k0[i, j], 0.0, k2[i, j]]), np.array([0.0, c[i, j]]), np.array([m[i, j]])]
-
-    def product(a: list[Array], b: list[Array]) -> list[Array]:
-        out: list[Array] = [np.zeros(1)] * 5
-        for i, left in enumerate(a):
-            for j, right in enumerate(b):
-                out[i + j] = np.asarray(
-                    polynomial.polyadd(out[i + j], polynomial.polymul(left, right)), float
-                )
-        return out
-
-    determinant = [
-        polynomial.polysub(left, right)
-        for left, right in zip(
-            product(entry(0, 0), entry(1, 1)), product(entry(0, 1), entry(1, 0)), strict=True
-        )
-    ]
-    powers = {"A": (0,), "B": (1,), "C": (0, 2), "D": (1, 3), "E": (0, 2)}
-    result = {}
-    for letter, coefficients in zip("EDCBA", determinant, strict=True):
-        exact = np.zeros(max(powers[letter]) + 1)
-        for power in powers[letter]:
-            exact[power] = coefficients[power] if power < len(coefficients) else 0.0
-        result[letter] = exact
-    a, b, cc, d, e = (result[letter] for letter in "ABCDE")
-    x = polynomial.polysub(
-        polynomial.polysub(
-            polynomial.polymul(polynomial.polymul(b, cc), d), polynomial.polymul(a, polynomial.polymul(d, d))
-        ),
-        polynomial.polymul(e, polynomial.polymul(b, b)),
-    )
-    result["X"] = np.pad(x, (0, 7 - len(x)))
-    return {letter: result[letter] for letter in "ABCDEX"}
+    a0 = _mixed(m, m) / 2.0
+    b1 = _mixed(m, c)
+    c0, c2 = _mixed(m, k0), _sum(_mixed(m, k2), _mixed(c, c) / 2.0)
+    d1, d3 = _mixed(c, k0), _mixed(c, k2)
+    e0, e2 = _mixed(k0, k0) / 2.0, _mixed(k0, k2)
+    x2 = _sum(b1 * c0 * d1, -a0 * d1**2, -e0 * b1**2)
+    x4 = _sum(b1 * c0 * d3, b1 * c2 * d1, -2.0 * a0 * d1 * d3, -e2 * b1**2)
+    x6 = _sum(b1 * c2 * d3, -a0 * d3**2)
+    return {
+        "A": np.array([a0]),
+        "B": np.array([0.0, b1]),
+        "C": np.array([c0, 0.0, c2]),
+        "D": np.array([0.0, d1, 0.0, d3]),
+        "E": np.array([e0, 0.0, e2]),
+        "X": np.array([0.0, 0.0, x2, 0.0, x4, 0.0, x6]),
+    }
 
 
 def stability(bicycle: Bicycle) -> Stability:
-    """Stable speed ranges, bounded by positive roots of E and X (SOM chapter 4): solved for, not scanned."""
+    """Stable speed ranges by Routh's criterion (SOM chapter 4), A...E and X positive; solved, not scanned."""
     coefficients = characteristic_polynomial(bicycle)
-    real_crossings = _positive_roots(coefficients["E"])
-    weave_crossings = _positive_roots(coefficients["X"])
-    # B, C and D can change sign only together with X or E unless stability is lost anyway; they cut intervals
-    # all the same.
-    cuts = sorted(
-        {*real_crossings, *weave_crossings, *(r for c in "BCD" for r in _positive_roots(coefficients[c]))}
-    )
-    edges = [0.0, *cuts, math.inf]
+
+    def at(letter: str, speed: float) -> float:
+        return float(polynomial.polyval(speed, coefficients[letter]))
+
+    edges = [
+        0.0,
+        *sorted({root for letter in "BCDEX" for root in _positive_roots(coefficients[letter])}),
+        math.inf,
+    ]
     ranges: list[tuple[float, float]] = []
     for low, high in pairwise(edges):
         inside = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
-        if (eigenvalues(bicycle, inside).real < 0.0).all():
-            if ranges and ranges[-1][1] == low:
-                ranges[-1] = (ranges[-1][0], high)
-            else:
-                ranges.append((low, high))
-    starts, ends = {low for low, _ in ranges}, {high for _, high in ranges}
-    weave = [speed for speed in weave_crossings if speed in starts]
-    capsize = [speed for speed in real_crossings if speed in ends]
+        if all(at(letter, inside) > 0.0 for letter in "ABCDEX"):
+            ranges.append((low, high))
+    # At X = 0 a pair of roots stands at +-i sqrt(D / B); it has come from the right where B X grows. At E =
+    0 a # root near -E / D passes through zero. slope = {letter: polynomial.polyder(coefficients[letter])
+    for letter in "EX"} weave = [
+        speed
+        for speed in _positive_roots(coefficients["X"])
+        if at("B", speed) * at("D", speed) > 0.0
+        and polynomial.polyval(speed, slope["X"]) * at("B", speed) > 0.0
+    ]
+    capsize = [
+        speed
+        for speed in _positive_roots(coefficients["E"])
+        if polynomial.polyval(speed, slope["E"]) * at("D", speed) < 0.0
+    ]
     return Stability(tuple(ranges), weave[0] if weave else None, capsize[0] if capsize else None)
+
+
+def _mixed(p: Array, q: Array) -> float:
+    """The part of det(P s + Q t) that goes with s t; twice the determinant for P = Q."""
+    return _sum(p[0, 0] * q[1, 1], p[1, 1] * q[0, 0], -p[0, 1] * q[1, 0], -p[1, 0] * q[0, 1])
+
+
+def _sum(*terms: float) -> float:
+    """Sum of terms; exactly zero when they cancel to within rounding."""
+    total = math.fsum(terms)
+    return total if abs(total) > ROUNDING * math.fsum(abs(term) for term in terms) else 0.0
 
 
 def _positive_roots(coefficients: Array) -> list[float]:
