@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 class Bicycle:
     """Linearised Whipple bicycle. Matrices are (2, 2), rows and columns [lean, steer], SAE signs.
 
-    Raises ParameterError if M is not symmetric positive definite, or if K2 has a lean column that is not zero (lean
-    alone turns no corner, so that only gravity acts on it).
+    Raises ParameterError if M is not symmetric positive definite, or if the first column of K2 is not zero:
+    lean alone turns no corner, only gravity acts on it.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Bicycle:
                 f" {self.mass.tolist()}; some combination of lean and steer moves no mass: check masses,"
                 " inertias and centres of mass"
             )
-
         if self.stiffness2[:, 0].any():
             raise ParameterError(
-                f"bicycle {self.name}: expected zeros in the first column of K2, found {self.stiffness2.tolist()};"
-                " lean alone turns no corner: check the order of rows and columns, lean before steer"
+                f"bicycle {self.name}: expected zeros in the first column of K2, found"
+                f" {self.stiffness2.tolist()}; lean alone turns no corner: is the order of rows and"
+                " columns lean, steer?"
             )
 
     @property

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array, Bicycle
 from tms_model.response import state_matrix
 
-
 ROUNDING = 1e-12  # share of the terms' sizes below which their sum is called zero
 
 
@@ -78,9 +77,10 @@ def stability(bicycle: Bicycle) -> Stability:
         inside = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
         if all(at(letter, inside) > 0.0 for letter in "ABCDEX"):
             ranges.append((low, high))
-    # At X = 0 a pair of roots stands at +-i sqrt(D / B); it has come from the right where B X grows. At E =
-    0 a # root near -E / D passes through zero. slope = {letter: polynomial.polyder(coefficients[letter])
-    for letter in "EX"} weave = [
+    # At X = 0 a pair of roots stands at +-i sqrt(D / B); it comes from the right where B X grows.
+    # At E = 0 a root near -E / D passes through zero.
+    slope = {letter: polynomial.polyder(coefficients[letter]) for letter in "EX"}
+    weave = [
         speed
         for speed in _positive_roots(coefficients["X"])
         if at("B", speed) * at("D", speed) > 0.0
