@@ -12,7 +12,8 @@ assert parameters is not None
 for trail in (-0.012, -0.008, -0.004, 0.0, 0.004):
     bicycle = assemble("what_if", replace(parameters, trail=trail))
     ranges = stability(bicycle).stable_speed_ranges
-    print(f"trail {1000 * trail:+5.0f} mm:", "self-stable from %.3f m/s" % ranges[0][0] if ranges else "nowhere self-stable")
+    where = f"self-stable from {ranges[0][0]:.3f} m/s" if ranges else "nowhere self-stable"
+    print(f"trail {1000 * trail:+5.0f} mm: {where}")
 
 try:
     replace(parameters, rear_frame_mass=-1.0)

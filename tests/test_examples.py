@@ -14,7 +14,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 BLOCKS = re.findall(r"```console\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line != "./tms test"]  # that one runs this
+COMMANDS = [
+    line for block in BLOCKS for line in block.splitlines() if line != "./tms test"
+]  # which runs this
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -31,7 +33,12 @@ def test_readme_commands_in_order(tmp_path: Path) -> None:
     for command in COMMANDS:
         words = shlex.split(command)
         done = subprocess.run(
-            [str(ROOT / words[0]), *words[1:]], cwd=tmp_path, capture_output=True, text=True, check=False, env=environment
+            [str(ROOT / words[0]), *words[1:]],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
         )
         assert done.returncode == 0, f"{command}\n{done.stderr}"
         output = [words[i + 1] for i, word in enumerate(words[:-1]) if word == "-o"]

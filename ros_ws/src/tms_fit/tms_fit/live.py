@@ -36,6 +36,7 @@ class LiveFit:
         self._held: list[tuple[str, bytes]] = []
         self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
+        self._answered: list[Record] = []  # of a run that has just ended
 
     def take(self, topic: str, data: bytes) -> list[Record]:
         """Use one message of a topic of INPUTS; return the messages to publish."""
@@ -105,7 +106,7 @@ class LiveFit:
         if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
             assert self._online is not None
             self._online.finish()
-            self._pending = self._answers()
+            self._answered = self._answers()
             self._restart()
         self._newest_ns = max(self._newest_ns, time_ns)
         assert self._online is not None

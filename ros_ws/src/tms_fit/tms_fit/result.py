@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tms_fit.estimate import COLOURED, Estimate
+from tms_fit.estimate import Estimate
+from tms_fit.linear import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
 

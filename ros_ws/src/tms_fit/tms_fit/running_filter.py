@@ -44,6 +44,7 @@ class RunningFilter:
         self._noise = noise  # [rad/s], where a sample states none
         self._kalman = KalmanFilter(dim_x=4, dim_z=2, dim_u=1)
         self._time_ns: int | None = None
+        self._first_std = FIRST_STD
         self._transitions: dict[tuple[float, float], tuple[Array, Array, Array]] = {}
 
     def restart(self, strike: bool) -> None:
@@ -63,8 +64,7 @@ class RunningFilter:
             self.restart(strike=False)
         reset = self._time_ns is None
         if self._time_ns is None:
-            std = getattr(self, "_first_std", FIRST_STD)
-            self._kalman.x, self._kalman.P = np.zeros((4, 1)), np.diag(std) ** 2
+            self._kalman.x, self._kalman.P = np.zeros((4, 1)), np.diag(self._first_std) ** 2
         else:
             phi, gamma, process = self._transition(speed, (time_ns - self._time_ns) / 1e9)
             self._kalman.predict(u=np.array([[steer_torque]]), B=gamma, F=phi, Q=process)

@@ -25,8 +25,8 @@ def eigenvalue_figure(bicycle: Bicycle, highest_speed: float = 10.0) -> Figure:
             axes.axvspan(
                 low, min(high, highest_speed), color="#009E73", alpha=0.15, lw=0, label="self-stable"
             )
-            ends = [f"{low:.2f}"] + ([f"{high:.2f}"] if math.isfinite(high) else ["no upper limit"])
-            axes.set_title(f"{bicycle.name}: self-stable {' to '.join(ends)} m/s")
+            ends = f"{low:.2f} to {high:.2f} m/s" if math.isfinite(high) else f"from {low:.2f} m/s up"
+            axes.set_title(f"{bicycle.name}: self-stable {ends}")
     if not stability(bicycle).stable_speed_ranges:
         axes.set_title(f"{bicycle.name}: not self-stable at any speed")
     axes.plot(speeds, np.where(roots.imag > 1e-9, roots.imag, np.nan), ".", ms=1.5, color="#E69F00")

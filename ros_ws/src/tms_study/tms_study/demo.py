@@ -1,4 +1,4 @@
-"""The whole pipeline in one go: simulator and recorder nodes, player and estimator nodes, then the offline fit."""
+"""The whole pipeline in one go: simulator and recorder nodes, player and estimator nodes, the offline fit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,9 @@ def _folder(output: Path) -> Iterator[Path]:
     unfinished = output.with_name(f".{output.name}.{os.getpid()}.unfinished")
     marker = output / "estimate.json"
     if output.exists() and not (output.is_dir() and (marker.exists() or not any(output.iterdir()))):
-        raise RecordingError(f"{output}: expected a new folder or one that a demo made, found other things; choose another --out")
+        raise RecordingError(
+            f"{output}: expected a new folder or one made by a demo, found other things; choose another --out"
+        )
     try:
         unfinished.mkdir(parents=True)
         yield unfinished
@@ -85,14 +87,17 @@ def _record(folder: Path, scenario: str, seed: int) -> None:
 def _estimate(folder: Path) -> None:
     outputs = f"[{ESTIMATE},{FILTER_STATE}]"
     listener = NodeProcess(
-        "tms_bag", "recorder", {"output": folder / "live", "topics": outputs}, folder / "log" / "live_recorder.log"
+        "tms_bag",
+        "recorder",
+        {"output": folder / "live", "topics": outputs},
+        folder / "log" / "live_recorder.log",
     )
     estimator = NodeProcess("tms_fit", "estimator", {"idle": 0.5}, folder / "log" / "estimator.log")
     try:
         for topic in (ESTIMATE, FILTER_STATE):
             listener.wait_for(f"recording /{topic}", PATIENCE)
         with BagReader(folder / "bag") as bag:
-            inputs = [entry.name for entry in bag.topics if entry.name.removeprefix("/") in INPUTS and entry.count]
+            inputs = [topic.name for topic in bag.topics if topic.count and topic.name.lstrip("/") in INPUTS]
         parameters = {
             "bag": folder / "bag",
             "rate": RATE,
@@ -146,10 +151,15 @@ def _table(fit: RecordingFit, live: dict[str, tuple[float, float, float]], outpu
         lines.append(f"  {estimate.estimator:24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
         if estimate.estimator in live:
             value, low, high = live[estimate.estimator]
-            lines.append(f"  {estimate.estimator + ', live node':24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
+            name = f"{estimate.estimator}, live node"
+            lines.append(f"  {name:24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
     width = max(len(name) for name in ("figure_3b.png", "estimate.json"))
     lines += ["", "look at"]
-    texts = {"figure_3b.png": "measured and predicted", "estimate.json": "all numbers", "bag": "the recording"}
+    texts = {
+        "figure_3b.png": "measured and predicted",
+        "estimate.json": "all numbers",
+        "bag": "the recording",
+    }
     lines += [f"  {output / name}{' ' * (width - len(name))}  {text}" for name, text in texts.items()]
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""Nodes as processes: started through the ament index as `ros2 run` does, stopped with SIGINT, their exit codes checked."""
+"""Nodes as processes, found through the ament index as `ros2 run` does, stopped with SIGINT."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ class NodeProcess:
         program = Path(get_package_prefix(package)) / "lib" / package / executable
         arguments = [argument for key, value in parameters.items() for argument in ("-p", f"{key}:={value}")]
         with log.open("wb") as stream:
-            self._process = subprocess.Popen(
-                [sys.executable, str(program), "--ros-args", *arguments], stdout=stream, stderr=subprocess.STDOUT
-            )
+            command = [sys.executable, str(program), "--ros-args", *arguments]
+            self._process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
 
     def wait(self, timeout: float) -> None:
-        """Wait for it to end by itself. Raises RecordingError when it fails or takes longer than `timeout` [s]."""
+        """Wait for it to end by itself. RecordingError when it fails or takes longer than `timeout` [s]."""
         try:
             code = self._process.wait(timeout)
         except subprocess.TimeoutExpired:
-            raise RecordingError(f"{self.name}: expected to end within {timeout:g} s; {self._last_words()}") from None
+            text = f"{self.name}: expected to end within {timeout:g} s; {self._last_words()}"
+            raise RecordingError(text) from None
         if code != 0:
             raise RecordingError(f"{self.name}: ended with exit code {code}; {self._last_words()}")
 
@@ -44,7 +44,8 @@ class NodeProcess:
         deadline = time.monotonic() + timeout
         while text not in self._log.read_text(errors="replace"):
             if self._process.poll() is not None or time.monotonic() > deadline:
-                raise RecordingError(f"{self.name}: expected it to say {text!r} within {timeout:g} s; {self._last_words()}")
+                wanted = f"expected it to say {text!r} within {timeout:g} s"
+                raise RecordingError(f"{self.name}: {wanted}; {self._last_words()}")
             time.sleep(0.02)
 
     def stop(self) -> None:
@@ -66,7 +67,7 @@ class NodeProcess:
 
 @contextmanager
 def own_domain() -> Iterator[None]:
-    """A ROS domain that no other test or demo on this machine uses, unless the user chose one; loopback only by default."""
+    """A ROS domain that no other test or demo here uses, unless the user chose one; loopback by default."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield

@@ -22,69 +22,36 @@ from tms_model import discretise
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
-from tms_fit.estimate import Estimate, caution, lag_one_autocorrelation, too_short, variance_accounted_for
-from tms_fit.estimators.least_squares import measured_channels, sensitivity, solve
-from tms_fit.prediction import predictor
+from tms_fit.estimate import Estimate
+from tms_fit.estimators import least_squares
+from tms_fit.linear import Solution, answer
 from tms_fit.settings import BIASES, INITIAL
 from tms_fit.window import Window
 
-# Prior standard deviation of a free parameter, per standard error that the data give; taken out again in the
-# end.
-PRIOR = 10.0
+PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give
 
 
 def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Estimate:
-    """Smoothed initial state and biases. The measurement noise is that of the least-squares residuals."""
-    reason = too_short(window, free)
-    if reason:
-        return Estimate("kalman_rts", "too_short", reason)
-    solution = solve(window, free, fixed)
-    if not len(solution.values):
-        message = f"the measured channels do not tell {', '.join(free)} apart; free fewer of them"
-        return Estimate("kalman_rts", "not_observable", message)
-    degrees = solution.count - len(free) - (1 if window.delay_std else 0)
-    noise = float(np.sqrt(solution.residual_sum / degrees))
-    prior = dict(zip(free, PRIOR * noise * np.sqrt(np.diag(solution.inverse)), strict=True))
-    # A noise of exactly zero has no filter; the smallest one that keeps the matrices apart stands for it.
-    noise_used = max(noise, 1e-6)
-    values, covariance = _smooth(window, prior, fixed, noise_used)
-    if not (
-        np.isfinite(values).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()
-    ):
-        return Estimate(
-            "kalman_rts", "not_converged", "the smoother lost its precision: try fewer free parameters"
-        )
-    if window.delay_std:
-        shift = sensitivity(window, lambda moved: _smooth(moved, prior, fixed, noise_used)[0])
-        covariance = covariance + np.outer(shift, shift) * window.delay_std**2
-    predicted = predictor(window).predict({**fixed, **dict(zip(free, values, strict=True))})
-    autocorrelation = lag_one_autocorrelation(window, predicted)
-    return Estimate(
-        estimator="kalman_rts",
-        status="ok",
-        message=f"Kalman filter on {' and '.join(measured_channels(window))} over {window.time[-1]:.2f} s,"
-        f" smoothed back{caution(autocorrelation)}",
-        names=free,
-        values=values,
-        covariance=covariance,
-        degrees_of_freedom=degrees,
-        residual_std=noise,
-        vaf=variance_accounted_for(window, predicted),
-        sample_count=solution.count,
-        residual_autocorrelation=autocorrelation,
+    """Smoothed initial state and biases."""
+    return answer(
+        "kalman_rts", "Kalman filter and smoother", window, free, fixed, lambda one: smooth(one, free, fixed)
     )
 
 
-def _smooth(
-    window: Window, prior: dict[str, float], fixed: dict[str, float], noise: float
-) -> tuple[Array, Array]:
-    """Smoothed values (p,) and covariance (p, p) of the parameters in `prior`, at the free response's start.
+def smooth(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Solution:
+    """Smoothed values of `free` at the start of the free response, and their covariance for unit noise.
 
-    The prior (standard deviations by name) serves the recursion and is taken out exactly at the end, so that
-    the answer is what the data alone say: with curvature L and gradient l of the adjoint pass at the start,
-    prior x0, P0, the values are x0 - L^-1 l and their covariance L^-1 - P0 (from x0 - P0 l and P0 - P0 L P0
-    by the matrix inversion lemma).
+    Without process noise the values do not depend on the measurement noise and their covariance is
+    proportional to it, so the filter runs with unit noise. Its prior serves the recursion and is taken out
+    exactly at the end, so that the answer is what the data alone say: with curvature L and gradient l of
+    the adjoint pass at the start, prior x0, P0, the values are x0 - L^-1 l and their covariance L^-1 - P0
+    (from x0 - P0 l and P0 - P0 L P0 by the matrix inversion lemma). A prior as wide as ten standard errors
+    costs two digits in this; a diffuse one would cost all.
     """
+    rough = least_squares.solve(window, free, fixed)
+    if not rough.observable:
+        return rough
+    prior = dict(zip(free, PRIOR * np.sqrt(np.diag(rough.inverse)), strict=True))
     names = _names(prior)
     kalman = KalmanFilter(dim_x=len(names), dim_z=2, dim_u=1)
     kalman.x = np.array([[fixed.get(name, 0.0)] for name in names])
@@ -100,10 +67,10 @@ def _smooth(
     for k, (step, sample) in enumerate(zip(steps.tolist(), measured, strict=True)):
         transition, control = known[step]
         kalman.predict(u=np.array([[torque[max(k - 1, 0)]]]), B=control, F=transition, Q=0.0)
-        passed.append((transition, *_update(kalman, rows, sample, noise)))
+        passed.append((transition, *_update(kalman, rows, sample)))
     gradient, curvature = _backward(passed, len(names))
     inverse = np.linalg.inv(curvature[np.ix_(index, index)])
-    return start - inverse @ gradient[index, 0], inverse - uncertainty
+    return Solution(start - inverse @ gradient[index, 0], inverse - uncertainty)
 
 
 def _backward(passed: list[tuple[Array, Array, Array, Array, Array]], size: int) -> tuple[Array, Array]:
@@ -143,16 +110,14 @@ def _measurement_rows(window: Window, names: tuple[str, ...]) -> Array:
     return rows
 
 
-def _update(
-    kalman: KalmanFilter, rows: Array, sample: Array, noise: float
-) -> tuple[Array, Array, Array, Array]:
+def _update(kalman: KalmanFilter, rows: Array, sample: Array) -> tuple[Array, Array, Array, Array]:
     """Use the measured channels; return their H, K, innovation and inverse of its covariance."""
     size = len(kalman.x)
     good = np.isfinite(sample)
     if not good.any():
         return np.zeros((0, size)), np.zeros((size, 0)), np.zeros((0, 1)), np.zeros((0, 0))
     # filterpy wants columns: a one-dimensional z would silently turn x into a matrix.
-    kalman.update(sample[good].reshape(-1, 1), R=noise**2 * np.eye(int(good.sum())), H=rows[good])
+    kalman.update(sample[good].reshape(-1, 1), R=np.eye(int(good.sum())), H=rows[good])
     if kalman.x.shape != (size, 1):
         raise AssertionError(f"state of shape {kalman.x.shape} after an update")
     return rows[good], kalman.K.copy(), kalman.y.copy(), kalman.SI.copy()

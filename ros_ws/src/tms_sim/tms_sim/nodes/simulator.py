@@ -59,7 +59,7 @@ class Simulator(Node):
             )
         run = simulate(scenario, np.random.default_rng(scenario.integer("seed")))
         self._records, self._sent = list(run.records()), 0
-        self._now_ns = scenario.integer("start_time_ns")
+        self._now_ns = self._due_ns = scenario.integer("start_time_ns")
         self._own_clock = (
             Clock(clock_type=ClockType.STEADY_TIME) if clock == "simulated" else self.get_clock()
         )
@@ -117,7 +117,7 @@ class Simulator(Node):
         now = self._own_clock.now()
         rate = self.get_parameter("rate").value if self._clock_publisher else 1.0
         self._before, elapsed = now, (now - self._before).nanoseconds
-        self._due_ns = getattr(self, "_due_ns", self._now_ns) + round(elapsed * rate)
+        self._due_ns += round(elapsed * rate)
         self._now_ns = min(self._due_ns, self._now_ns + LARGEST_STEP)
         if self._clock_publisher:
             stamp = Time(sec=self._now_ns // 10**9, nanosec=self._now_ns % 10**9)
