@@ -5,6 +5,7 @@ Layout: rosbag2_storage/yaml.hpp of ROS 2 Jazzy.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -98,14 +99,13 @@ def read_file(path: Path) -> Metadata:
     storage = information.get("storage_identifier")
     if storage != "mcap":
         raise RecordingError(
-            f"{path}: expected a bag stored as mcap, found storage {storage!r};"
+            f"{path}: expected a bag stored as mcap, found storage {_short(storage)};"
             " convert it with `ros2 bag convert` (storage_id: mcap)"
         )
     if information.get("compression_mode") not in (None, "", "none", "NONE", "None"):
         raise RecordingError(
-            f"{path}: expected an mcap bag without rosbag2's own compression (chunks inside may be"
-            " compressed), found"
-            f" compression_mode {information['compression_mode']!r}; convert it with `ros2 bag convert`"
+            f"{path}: expected an mcap bag without rosbag2's compression (chunks may be compressed), found"
+            f" compression_mode {_short(information['compression_mode'])}; convert it with `ros2 bag convert`"
         )
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -131,7 +131,13 @@ def custom_data_of_record(text: str) -> dict[str, str]:
 def _texts(custom_data: object) -> dict[str, str]:
     if not isinstance(custom_data, dict):
         return {}
-    return {str(key): "" if value is None else str(value) for key, value in custom_data.items()}
+    return {str(key): _text(value) for key, value in custom_data.items()}
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else _short(value)
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -165,8 +171,10 @@ def _inside(name: str, path: Path) -> str:
 
 
 def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
+    """What stands there, in short; aliases may make it endless when written out."""
+    shortener = reprlib.Repr()
+    shortener.maxlevel, shortener.maxlist, shortener.maxdict = 2, 3, 3
+    return shortener.repr(value)
 
 
 def _first_line(error: BaseException) -> str:

@@ -10,6 +10,8 @@ import yaml
 
 INFINITE_NS = 2**63 - 1  # how rmw spells "no deadline, no lifespan, no lease"
 
+LONGEST_TEXT = 2**16  # [characters] of profiles; a publisher has about 400
+
 # Bags older than version 9 write rmw's enumerations as integers.
 _OLD = {
     "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
@@ -65,9 +67,11 @@ def to_yaml(profiles: Sequence[Qos]) -> str:
 
 def from_yaml(text: str) -> tuple[Qos, ...]:
     """Profiles from the text of a channel, of any rosbag2 version; what can't be understood is left out."""
+    if len(text) > LONGEST_TEXT:
+        return ()
     try:
         return from_list(yaml.safe_load(text))
-    except yaml.YAMLError:
+    except (ValueError, RecursionError, yaml.YAMLError):
         return ()
 
 
@@ -99,7 +103,11 @@ def _from_dict(profile: dict[str, Any]) -> Qos:
 
 
 def _policy(kind: str, value: object) -> str:
-    return _OLD[kind][value] if isinstance(value, int) else str(value).lower()
+    if isinstance(value, int):
+        return _OLD[kind][value]
+    if not isinstance(value, str):
+        raise TypeError(f"{kind} is neither a number nor a name")
+    return value.lower()
 
 
 def _duration(nanoseconds: int) -> dict[str, int]:

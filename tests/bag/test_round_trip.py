@@ -1,0 +1,104 @@
+"""Arrays -> messages -> bag -> arrays gives the same arrays, to the last bit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tms_bag import BagReader, RecordingError, conversion, read_recording
+from tms_bag.messages import deserialize, serialize
+from tms_bag.samples import ImuSamples, SpeedSamples, in_time_order, selected
+
+
+def assert_same(found, expected):
+    for field in dataclasses.fields(expected):
+        a, b = getattr(found, field.name), getattr(expected, field.name)
+        if isinstance(b, np.ndarray):
+            assert a.dtype == b.dtype
+            assert a.tobytes() == b.tobytes(), field.name
+        else:
+            assert a == b or (a != a and b != b), field.name
+
+
+@pytest.mark.parametrize("kind", ["imu", "lean_yaw", "speed", "steer_torque", "state"])
+def test_samples_come_back_exactly(bag, run, kind):
+    assert_same(getattr(read_recording(bag), kind), getattr(run, kind))
+
+
+def test_run_info_comes_back_exactly(bag, run):
+    recording = read_recording(bag)
+    assert_same(recording.run_info, run.info)
+    assert recording.custom_data == {"seed": "1", "configuration": run.info.configuration}
+    assert recording.start_ns == run.info.start_ns
+    assert recording.duplicates == 0
+
+
+def test_records_come_back_byte_by_byte(bag, run):
+    with BagReader(bag) as reader:
+        assert list(reader.records()) == run.records()
+        assert reader.complete
+        assert reader.message_count == len(run.records())
+
+
+def test_an_absent_lean_is_marked_as_not_valid(run):
+    # Rows 3, 8, 13, ... of the made-up run have no lean.
+    records = list(conversion.lean_yaw_records(run.lean_yaw))
+    messages = [deserialize(record.data, record.type) for record in records[:5]]
+    assert [message.lean_valid for message in messages] == [True, True, True, False, True]
+    assert all(message.lean_rate_valid and message.yaw_rate_valid for message in messages)
+
+
+def test_a_value_that_is_marked_as_not_valid_is_absent(run):
+    record = next(conversion.lean_yaw_records(run.lean_yaw))
+    message = dataclasses.replace(deserialize(record.data, record.type), lean_rate_valid=False)
+    samples = conversion.lean_yaw_samples([dataclasses.replace(record, data=serialize(message))])
+    assert np.isnan(samples.lean_rate[0])
+    assert not np.isnan(samples.yaw_rate[0])
+
+
+def test_imu_message_follows_rep_145(run):
+    record = next(conversion.imu_records(run.imu))
+    message = deserialize(record.data, record.type)
+    assert message.orientation_covariance.tolist() == [-1.0] + [0.0] * 8  # no orientation
+    assert message.angular_velocity_covariance.tolist() == [1e-6, 0, 0, 0, 2e-6, 0, 0, 0, 3e-6]
+    assert message.linear_acceleration_covariance.tolist() == [0.0] * 9  # unknown
+    assert message.header.frame_id == "imu_link"
+
+
+def test_a_gyroscope_that_says_it_is_absent_is_nan(run):
+    record = next(conversion.imu_records(run.imu))
+    message = deserialize(record.data, record.type)
+    message = dataclasses.replace(message, angular_velocity_covariance=np.array([-1.0] + [0.0] * 8))
+    samples = conversion.imu_samples([dataclasses.replace(record, data=serialize(message))])
+    assert np.isnan(samples.angular_velocity).all()
+    assert np.isnan(samples.angular_velocity_variance[0])
+    assert not np.isnan(samples.specific_force[0, 0])
+
+
+@pytest.mark.parametrize("time_ns", [-1, 2**31 * 10**9])
+def test_a_time_that_ros_can_not_stamp_is_refused(time_ns):
+    samples = SpeedSamples(np.array([time_ns]), np.array([1.0]))
+    with pytest.raises(RecordingError, match="expected times"):
+        list(conversion.speed_records(samples))
+
+
+def test_samples_of_no_record_are_empty():
+    assert conversion.imu_samples([]).angular_velocity.shape == (0, 3)
+    assert conversion.state_samples([]).state.shape == (0, 4)
+    assert conversion.speed_samples([]).speed.shape == (0,)
+
+
+def test_in_time_order_sorts_and_keeps_the_first_of_equal_times():
+    samples = SpeedSamples(np.array([30, 10, 30, 20, 10]), np.array([3.0, 1.0, 3.5, 2.0, 1.5]))
+    ordered, left_out = in_time_order(samples)
+    assert ordered.time_ns.tolist() == [10, 20, 30]
+    assert ordered.speed.tolist() == [1.0, 2.0, 3.0]
+    assert left_out == 2
+
+
+def test_selection_leaves_what_belongs_to_the_run_alone():
+    # Three samples: the variances (3,) must not be mistaken for a column.
+    imu = ImuSamples(np.arange(3), np.eye(3), np.eye(3), np.array([1.0, 2.0, 3.0]))
+    chosen = selected(imu, np.array([True, False, True]))
+    assert chosen.time_ns.tolist() == [0, 2]
+    assert chosen.angular_velocity.shape == (2, 3)
+    assert chosen.angular_velocity_variance.tolist() == [1.0, 2.0, 3.0]
