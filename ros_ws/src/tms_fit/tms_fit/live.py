@@ -13,6 +13,7 @@ from tms_bag.samples import RunInfo
 from tms_model import load_bicycle
 from tms_model.frames import quaternion
 
+from tms_fit.estimators import check_names
 from tms_fit.messages import estimate_records, filter_state_record
 from tms_fit.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
@@ -27,6 +28,7 @@ class LiveFit:
 
     def __init__(self, settings: FitSettings, bicycle: str = "") -> None:
         self._settings, self._given = settings, bicycle
+        check_names(settings.estimators)
         if bicycle:
             load_bicycle(bicycle)
         self.counts: Counter[str] = Counter()

@@ -16,7 +16,7 @@ from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.estimate import Estimate
-from tms_fit.estimators import ESTIMATORS
+from tms_fit.estimators import ESTIMATORS, check_names
 from tms_fit.estimators.least_squares import refine_start
 from tms_fit.running_filter import FilterStep, RunningFilter
 from tms_fit.settings import BIASES, DEFAULT_FREE, FitSettings
@@ -89,9 +89,7 @@ class OnlineFit:
         imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103).
         nominal_speed [m/s]: used without a speed topic.
         """
-        for name in settings.estimators:
-            if name not in ESTIMATORS:
-                raise ParameterError(f"estimator: unknown {name!r}; expected of {', '.join(ESTIMATORS)}")
+        check_names(settings.estimators)
         self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
         self._filter = RunningFilter(bicycle, settings.gyroscope_noise) if running_filter else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 import rclpy
@@ -47,7 +48,8 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
         return _complain(error, 1)
     finally:
         code = _close(node)
-        rclpy.try_shutdown()
+        with suppress(RCLError):  # the signal handler may be shutting down at this very moment
+            rclpy.try_shutdown()
     return code
 
 

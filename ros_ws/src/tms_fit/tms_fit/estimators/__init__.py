@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from tms_model import ParameterError
+
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
 from tms_fit.window import Window
@@ -19,3 +21,10 @@ ESTIMATORS: dict[str, Estimator] = {
     "kalman_rts": kalman_rts.estimate,
     "som2011": som2011.estimate,
 }
+
+
+def check_names(names: tuple[str, ...]) -> None:
+    """Raise ParameterError for an unknown estimator."""
+    for name in names:
+        if name not in ESTIMATORS:
+            raise ParameterError(f"estimator: unknown {name!r}; expected of {', '.join(ESTIMATORS)}")

@@ -79,6 +79,7 @@ class Simulator(Node):
     def run(self) -> None:
         """Publish the whole run, at its pace."""
         self._wait_for_subscribers()
+        self.get_logger().info(f"simulating {len(self._records)} messages")
         self._before = self._own_clock.now()
         self.create_timer(TICK, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME))
         while self._sent < len(self._records):
