@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from pathlib import Path
@@ -59,4 +60,5 @@ def save_figure(figure: Figure, path: Path) -> None:
             f"{path}: expected a place to write a figure, found: {error.strerror}"
         ) from error
     finally:
-        unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            unfinished.unlink()

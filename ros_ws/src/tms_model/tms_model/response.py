@@ -53,10 +53,12 @@ def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -
     """The bicycle at constant speed [m/s], with optional lean-rate feedback on the steer torque [N m s/rad].
 
     Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response
-    to compare).
+    to compare), or a feedback that is not finite.
     """
     if not (math.isfinite(speed) and speed > 0.0):
         raise ParameterError(f"speed: expected a positive number of m/s, found {speed:g}")
+    if not math.isfinite(lean_rate_gain):
+        raise ParameterError(f"gain: expected a finite number of N m s/rad, found {lean_rate_gain:g}")
     torque = np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])
     projection = math.cos(bicycle.steer_axis_tilt) / bicycle.wheelbase
     yaw = np.array([0.0, speed * projection, 0.0, bicycle.trail * projection])  # (10.2)
