@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -169,7 +169,8 @@ def _complete_rows(
     ]
     if not kept.any():
         raise RecordingError(
-            f"{path}: every row has an empty or NaN cell: {', '.join(counts)}; leave that out with --without"
+            f"{path}: expected rows with numbers, found an empty or NaN cell in each: {', '.join(counts)};"
+            " leave that quantity out with --without"
         )
     if not mapping.skip_missing:
         raise RecordingError(
@@ -215,7 +216,7 @@ def _nanoseconds(cell: str, unit: str) -> int | None:
     try:
         value = Decimal(cell)
         return round(value * TIME_UNITS_NS[unit]) if value.is_finite() and abs(value) < 10**20 else None
-    except InvalidOperation:
+    except ArithmeticError:  # not a number, or one beyond all bounds
         return None
 
 
