@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from domain_coordinator import domain_id
 from tms_bag import RecordingError
 
 STOP_WITHIN = 20.0  # [s]
+PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 
 class NodeProcess:
@@ -27,7 +29,9 @@ class NodeProcess:
         arguments = [argument for key, value in parameters.items() for argument in ("-p", f"{key}:={value}")]
         with log.open("wb") as stream:
             command = [sys.executable, str(program), "--ros-args", *arguments]
-            self._process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+            self._process = subprocess.Popen(
+                command, stdout=stream, stderr=subprocess.STDOUT, preexec_fn=_end_with_parent
+            )
 
     def wait(self, timeout: float) -> None:
         """Wait for it to end by itself. RecordingError when it fails or takes longer than `timeout` [s]."""
@@ -63,6 +67,11 @@ class NodeProcess:
     def _last_words(self) -> str:
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return f"its last line: {lines[-1]}" if lines else f"it said nothing (log: {self._log})"
+
+
+def _end_with_parent() -> None:
+    """Ask Linux to end this process when its parent dies, even by SIGKILL: no node is left running alone."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 @contextmanager
