@@ -8,6 +8,7 @@ keys are errors.
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,14 @@ def check_keys(mapping: Any, required: tuple[str, ...], where: str, optional: tu
         )
 
 
+def unquoted(value: Any) -> Any:
+    """`value`, as a number when it is one that YAML 1.1 takes for a text: 1e-3, where it wants 1.0e-3."""
+    return float(value) if isinstance(value, str) and re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", value) else value
+
+
 def number(value: Any, where: str) -> float:
     """`value` as a float. Raises ParameterError for anything that is not a finite number."""
+    value = unquoted(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ParameterError(f"{where}: expected a finite number, found {value!r}")
     return float(value)

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 from tms_model import ParameterError
-from tms_model.catalogue import check_keys, read_yaml
+from tms_model.catalogue import check_keys, read_yaml, unquoted
 
 FOLDER = Path(__file__).parent / "scenarios"
 TEXT = ("description", "source", "uncertainty")
@@ -56,7 +56,10 @@ KEYS: dict[str, Key] = {
     "speed_sensor.noise": Key(float, "standard deviation of one sample [m/s]", 0.0, 10.0),
     "state_rate": Key(float, "samples of the truth a second [Hz]", 1.0, 4000.0),
     "seed": Key(int, "seed of all noise", 0, 2**63 - 1),
-    "start_time_ns": Key(int, "time stamp of the start [ns]; ROS takes 0 for 'no time'", 1, 2**62),
+    # ROS counts the seconds of a stamp in 31 bits, and the longest run takes 3600 of them.
+    "start_time_ns": Key(
+        int, "time stamp of the start [ns]; ROS takes 0 for 'no time'", 1, (2**31 - 3601) * 10**9
+    ),
 }
 
 
@@ -165,9 +168,9 @@ def _check(key: str, value: Any) -> Value:
             return value
         raise ParameterError(f"{key}: expected {rule.meaning}, found {value!r}")
     items = list(value) if rule.kind is tuple and isinstance(value, list | tuple) else [value]
-    wanted = f"{rule.meaning}, from {rule.low:g} to {rule.high:g}" + (
-        ", three numbers" if rule.kind is tuple else ""
-    )
+    items = [unquoted(item) for item in items]
+    note = {tuple: ", three numbers", int: ", a whole number"}.get(rule.kind, "")
+    wanted = f"{rule.meaning}, from {rule.low:g} to {rule.high:g}{note}"
     if len(items) != (3 if rule.kind is tuple else 1):
         raise ParameterError(f"{key}: expected {wanted}, found {value!r}")
     for item in items:
