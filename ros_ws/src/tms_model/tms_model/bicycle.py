@@ -1,8 +1,7 @@
 """A bicycle: the matrices of its linearised equations of motion and the geometry that gives its yaw.
 
-    M q'' + v C1 q' + (g K0 + v^2 K2) q = [T_lean, T_steer],  q = [lean, steer]                      (SOM Eq.
-    3.1) yaw rate = (v / w) cos(lambda_s) steer + (c / w) cos(lambda_s) steer rate
-    (SOM Eq. 10.2)
+    M q'' + v C1 q' + (g K0 + v^2 K2) q = [T_lean, T_steer],  q = [lean, steer]               (SOM Eq. 3.1)
+    yaw rate = (v / w) cos(lambda_s) steer + (c / w) cos(lambda_s) steer rate                 (SOM Eq. 10.2)
 
 References: Kooijman et al. 2011, doi 10.1126/science.1201959, supplement (SOM); Meijaard et al. 2007, doi
 10.1098/rspa.2007.1857, appendix A (equation numbers "A n" below).
@@ -11,12 +10,13 @@ References: Kooijman et al. 2011, doi 10.1126/science.1201959, supplement (SOM);
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.steer_elements import SteerElements
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,7 @@ class Bicycle:
     steer_axis_tilt: float  # lambda_s [rad]
     gravity: float  # g [m/s^2]
     parameters: WhippleParameters | None = None  # None: the matrices are given, not assembled
+    steer_elements: SteerElements = field(default_factory=SteerElements)  # springs, dampers, feedback
     description: str = ""
     source: str = ""
     uncertainty: str = ""
@@ -60,17 +61,29 @@ class Bicycle:
                 " columns lean, steer?"
             )
 
+    def damping_at(self, speed: float) -> Array:
+        """Factor of q' in (3.1) at a speed [m/s]: v C1 and the steer elements' part [N m s/rad], (2, 2)."""
+        return speed * self.damping + self.steer_elements.damping
+
+    def stiffness_at(self, speed: float) -> Array:
+        """Factor of q in (3.1) at a speed [m/s]: g K0 + v^2 K2 and the steer elements' part [N m/rad], (2, 2)."""
+        return self.gravity * self.stiffness0 + speed**2 * self.stiffness2 + self.steer_elements.stiffness
+
     @property
     def numbers(self) -> dict[str, float]:
-        """All numbers that define this bicycle by name, SI units and radians, in a fixed order."""
+        """All numbers that define this bicycle by name, SI units and radians, in a fixed order.
+
+        Steer elements stand at the end, and only if there are any.
+        """
+        elements = asdict(self.steer_elements) if self.steer_elements.present else {}
         if self.parameters is not None:
-            return asdict(self.parameters)
+            return {**asdict(self.parameters), **elements}
         numbers = {name: getattr(self, name) for name in ("wheelbase", "trail", "steer_axis_tilt", "gravity")}
         for letter, matrix in self.canonical.items():
             for row, i in enumerate(("lean", "steer")):
                 for column, j in enumerate(("lean", "steer")):
                     numbers[f"{letter}_{i}_{j}"] = float(matrix[row, column])
-        return numbers
+        return {**numbers, **elements}
 
     @property
     def canonical(self) -> dict[str, Array]:
@@ -82,6 +95,7 @@ def assemble(
     name: str,
     parameters: WhippleParameters,
     *,
+    steer_elements: SteerElements | None = None,
     description: str = "",
     source: str = "",
     uncertainty: str = "",
@@ -99,6 +113,7 @@ def assemble(
         steer_axis_tilt=parameters.steer_axis_tilt,
         gravity=parameters.gravity,
         parameters=parameters,
+        steer_elements=steer_elements or SteerElements(),
         description=description,
         source=source,
         uncertainty=uncertainty,
