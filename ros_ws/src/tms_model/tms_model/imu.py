@@ -3,9 +3,9 @@
 The rear frame yaws about the vertical and leans about the ground line through its wheel contact; its pitch is
 of second order and left out. Body axes: SAE axes of the rear frame. With R = Rz(yaw) Rx(lean):
 
-    angular velocity = (lean', yaw' sin lean, yaw' cos lean) acceleration of the contact point, yawing axes =
-    (v', v yaw', 0)          (no lateral slip of the rear wheel) specific force = acceleration - gravity;
-    upright at rest (0, 0, -g) in SAE axes, +g up.
+    angular velocity = (lean', yaw' sin lean, yaw' cos lean)
+    acceleration of the contact point, yawing axes = (v', v yaw', 0)       (no lateral slip of the rear wheel)
+    specific force = acceleration - gravity; upright at rest (0, 0, -g) in SAE axes, +g up.
 """
 
 from __future__ import annotations
