@@ -1,12 +1,14 @@
 """The same content gives the same files, whatever process writes it."""
 
+import dataclasses
 import hashlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-from tms_bag import conversion
+import pytest
+from tms_bag import conversion, messages
 
 WRITE = """
 import importlib.util, sys
@@ -54,3 +56,14 @@ def test_padding_is_zero(run):
     assert data[16:27] == b"rear_frame\x00"
     assert data[27:28] == b"\x00"
     assert len(data) == 28 + 3 * 8 + 4
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_messages_end_at_a_multiple_of_four_bytes(run, length):
+    # As DDS makes them on the way.
+    record = next(conversion.run_info_records(dataclasses.replace(run.info, configuration="x" * length)))
+    unpadded = messages._store().serialize_cdr(messages.deserialize(record.data, record.type), record.type)
+    assert len(record.data) % 4 == 0
+    assert 0 <= len(record.data) - len(unpadded) < 4
+    assert record.data == bytes(unpadded).ljust(len(record.data), b"\0")
+    assert conversion.run_info(record).configuration == "x" * length

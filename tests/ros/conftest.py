@@ -1,0 +1,169 @@
+"""Nodes as processes over real DDS, each test in a domain of its own; waiting for conditions, not times."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from domain_coordinator import domain_id as unused_domain_id
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from tms_bag import BagWriter, Record, conversion, topics
+from tms_bag.record import merged
+from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+
+DEADLINE = 60.0  # [s]; generous, since nothing here measures speed
+
+
+def wait_until(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
+    """Return as soon as the condition holds; fail the test if it doesn't before the deadline."""
+    end = time.monotonic() + deadline
+    while not condition():
+        assert time.monotonic() < end, f"not within {deadline:g} s: {what}"
+        time.sleep(0.01)
+
+
+class Nodes:
+    """Installed nodes, started as `ros2 run` starts them."""
+
+    def __init__(self, domain: int, folder: Path) -> None:
+        self.folder = folder
+        local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        self._environment = os.environ | local
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def start(self, package: str, executable: str, *arguments: str) -> "subprocess.Popen[bytes]":
+        """Start an executable; what it says goes to its log."""
+        program = Path(get_package_prefix(package)) / "lib" / package / executable
+        with self.log(executable).open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, program, "--ros-args", *arguments],
+                env=self._environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=self.folder,
+            )
+        self._processes.append(process)
+        return process
+
+    def log(self, executable: str) -> Path:
+        """Where an executable's output goes."""
+        return self.folder / f"{executable}.log"
+
+    def wait_for(self, executable: str, text: str) -> None:
+        """Wait until an executable has said something."""
+        log = self.log(executable)
+        wait_until(lambda: text in log.read_text(), f"{executable} says {text!r}")
+
+    def finish(self, process: "subprocess.Popen[bytes]", code: int = 0) -> None:
+        """Wait until a process ends by itself, with an exit code."""
+        assert process.wait(DEADLINE) == code, self._outputs()
+
+    def stop(self, process: "subprocess.Popen[bytes]", how: signal.Signals = signal.SIGINT) -> None:
+        """Stop a process by a signal; it must end with exit code 0."""
+        process.send_signal(how)
+        self.finish(process)
+
+    def kill_all(self) -> None:
+        """End what still runs."""
+        for process in self._processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+    def _outputs(self) -> str:
+        return "\n".join(f"{log.name}:\n{log.read_text()}" for log in sorted(self.folder.glob("*.log")))
+
+
+class Participant(Node):
+    """A node inside the test."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("test", context=context)
+        self._spinner = SingleThreadedExecutor(context=context)
+        self._spinner.add_node(self)
+
+    def spin_until(self, condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
+        """Handle what arrives until the condition holds; fail the test if it doesn't before the deadline."""
+        end = time.monotonic() + deadline
+        while not condition():
+            assert time.monotonic() < end, f"not within {deadline:g} s: {what}"
+            self._spinner.spin_once(timeout_sec=0.01)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._spinner.shutdown()
+        self.destroy_node()
+
+
+@pytest.fixture
+def domain_id() -> Iterator[int]:
+    """A ROS domain that no other test uses at this time."""
+    with unused_domain_id() as number:
+        yield number
+
+
+@pytest.fixture
+def nodes(domain_id: int, tmp_path: Path) -> Iterator[Nodes]:
+    """Starts nodes in the test's domain and ends them with the test."""
+    these = Nodes(domain_id, tmp_path)
+    yield these
+    these.kill_all()
+
+
+@pytest.fixture
+def participant(domain_id: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Participant]:
+    """A node inside the test, in the test's domain."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    node = Participant(context)
+    yield node
+    node.close()
+    rclpy.shutdown(context=context)
+
+
+def made_up_records(
+    count: int = 200, rate: float = 100.0, start_ns: int = 1_700_000_000_000_000_000
+) -> list[Record]:
+    """Run information, IMU and (every tenth sample) speed of a run with random values."""
+    rng = np.random.default_rng(count)
+    time_ns = start_ns + np.rint(np.arange(count) * 1e9 / rate).astype(np.int64)
+    imu = ImuSamples(time_ns, rng.normal(size=(count, 3)), rng.normal(size=(count, 3)))
+    speed = SpeedSamples(time_ns[::10], rng.normal(size=time_ns[::10].size))
+    info = RunInfo(start_ns, "benchmark", {"wheelbase": 1.02}, source="tests", configuration="a: 1\n")
+    return list(
+        merged(
+            conversion.run_info_records(info), conversion.imu_records(imu), conversion.speed_records(speed)
+        )
+    )
+
+
+@pytest.fixture
+def records() -> list[Record]:
+    """Two seconds of a made-up run."""
+    return made_up_records()
+
+
+@pytest.fixture
+def make_records() -> Callable[..., list[Record]]:
+    """Makes records of made-up runs."""
+    return made_up_records
+
+
+@pytest.fixture
+def bag(tmp_path: Path, records: list[Record]) -> Path:
+    """A bag with those two seconds."""
+    with BagWriter(tmp_path / "bag", {"seed": "1"}) as writer:
+        for record in records:
+            writer.write(record, topics.QOS[record.topic.removeprefix("/")])
+    return tmp_path / "bag"
