@@ -11,26 +11,49 @@ Conventions of the whole project, told here and in docs/conventions.md:
 
 from tms_model.bicycle import Bicycle, assemble
 from tms_model.catalogue import bicycle_names, load_bicycle
+from tms_model.characteristic import RouthTest, characteristic_polynomial, coefficients, routh
+from tms_model.modes import Mode, ModeCourse, follow_modes, modes
 from tms_model.parameters import ParameterError, WhippleParameters
 from tms_model.response import LinearSystem, discretise, linear_system, response, yaw_rate
-from tms_model.stability import Stability, characteristic_polynomial, eigenvalues, stability
+from tms_model.stability import (
+    Boundary,
+    DoubleRoot,
+    Stability,
+    boundaries,
+    double_roots,
+    eigenvalues,
+    stability,
+)
+from tms_model.steer_elements import SteerElements
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Bicycle",
+    "Boundary",
+    "DoubleRoot",
     "LinearSystem",
+    "Mode",
+    "ModeCourse",
     "ParameterError",
+    "RouthTest",
     "Stability",
+    "SteerElements",
     "WhippleParameters",
     "assemble",
     "bicycle_names",
+    "boundaries",
     "characteristic_polynomial",
+    "coefficients",
     "discretise",
+    "double_roots",
     "eigenvalues",
+    "follow_modes",
     "linear_system",
     "load_bicycle",
+    "modes",
     "response",
+    "routh",
     "stability",
     "yaw_rate",
 ]

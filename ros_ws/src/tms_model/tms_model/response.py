@@ -35,8 +35,8 @@ class LinearSystem:
 def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> Array:
     """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s].
 
-    The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller does in
-    this run, T_steer = lean_rate_gain * lean rate; positive steers into the fall.
+    The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller does
+    in this run, T_steer = lean_rate_gain * lean rate; positive steers into the fall.
     """
     damping, stiffness = bicycle.damping_at(speed), bicycle.stiffness_at(speed)
     damping[1, 0] -= lean_rate_gain

@@ -1,4 +1,4 @@
-"""Eigenvalues, characteristic polynomial and stable speed ranges of the uncontrolled bicycle.
+"""Where the uncontrolled bicycle is stable: speed ranges and their boundaries, solved for and not scanned.
 
 Reference: Kooijman et al. 2011, supplement (SOM), chapters 3 and 4, doi 10.1126/science.1201959.
 """
@@ -13,10 +13,45 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from tms_model.bicycle import Array, Bicycle
+from tms_model.bicycle import Bicycle
+from tms_model.characteristic import (
+    DISCRIMINANT,
+    as_floats,
+    characteristic_polynomial,
+    combination,
+    exact_polynomials,
+)
 from tms_model.response import state_matrix
+from tms_model.roots import positive_roots
 
-ROUNDING = 1e-12  # share of the terms' sizes below which their sum is called zero
+__all__ = [
+    "Boundary",
+    "DoubleRoot",
+    "Stability",
+    "boundaries",
+    "characteristic_polynomial",
+    "double_roots",
+    "eigenvalues",
+    "stability",
+]
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """A speed at which eigenvalues cross the imaginary axis (SOM chapter 4, conditions A and B)."""
+
+    speed: float  # [m/s]
+    condition: str  # "E": a real eigenvalue passes zero; "X": a pair passes +-i frequency
+    frequency: float  # [rad/s] of the pair, sqrt(D / B) (4.5); 0 for a real eigenvalue
+    stabilises: bool  # whether the eigenvalues become stable as the speed grows
+
+
+@dataclass(frozen=True)
+class DoubleRoot:
+    """A speed at which two real eigenvalues coincide: they become an oscillation, or came from one."""
+
+    speed: float  # [m/s]
+    eigenvalue: float  # [1/s]
 
 
 @dataclass(frozen=True)
@@ -27,6 +62,11 @@ class Stability:
     weave_speed: float | None  # [m/s] lowest speed at which an unstable oscillation becomes stable (X = 0)
     capsize_speed: float | None  # [m/s] lowest speed at which a real root becomes unstable (E = 0)
 
+    @property
+    def onset_speed(self) -> float | None:
+        """Lowest speed [m/s] above which the bicycle is self-stable; None if it never is."""
+        return self.stable_speed_ranges[0][0] if self.stable_speed_ranges else None
+
 
 def eigenvalues(bicycle: Bicycle, speed: float) -> NDArray[np.complex128]:
     """Roots of det(M s^2 + v C1 s + g K0 + v^2 K2) = 0 (3.3) [1/s], complex (4,), sorted by re, then im."""
@@ -34,82 +74,62 @@ def eigenvalues(bicycle: Bicycle, speed: float) -> NDArray[np.complex128]:
     return roots[np.lexsort((roots.imag, roots.real))]
 
 
-def characteristic_polynomial(bicycle: Bicycle) -> dict[str, Array]:
-    """Coefficients A...E of Eq. (4.1) and the Routh determinant X = BCD - ADD - EBB (4.3), over speed.
-
-    Each value is an array of coefficients, the constant first: A (1,), B (2,), C (3,), D (4,), E (3,), X
-    (7,); powers that Eqs. (4.2) and (4.3) leave out are exactly zero, and so is what only rounding tells from
-    zero: on a two-mass skate E_2 and X_6 vanish, and a last digit in their place would make up a crossing.
-    """
-    m, c, k0, k2 = bicycle.mass, bicycle.damping, bicycle.gravity * bicycle.stiffness0, bicycle.stiffness2
-    a0 = _mixed(m, m) / 2.0
-    b1 = _mixed(m, c)
-    c0, c2 = _mixed(m, k0), _sum(_mixed(m, k2), _mixed(c, c) / 2.0)
-    d1, d3 = _mixed(c, k0), _mixed(c, k2)
-    e0, e2 = _mixed(k0, k0) / 2.0, _mixed(k0, k2)
-    x2 = _sum(b1 * c0 * d1, -a0 * d1**2, -e0 * b1**2)
-    x4 = _sum(b1 * c0 * d3, b1 * c2 * d1, -2.0 * a0 * d1 * d3, -e2 * b1**2)
-    x6 = _sum(b1 * c2 * d3, -a0 * d3**2)
-    return {
-        "A": np.array([a0]),
-        "B": np.array([0.0, b1]),
-        "C": np.array([c0, 0.0, c2]),
-        "D": np.array([0.0, d1, 0.0, d3]),
-        "E": np.array([e0, 0.0, e2]),
-        "X": np.array([0.0, 0.0, x2, 0.0, x4, 0.0, x6]),
-    }
-
-
 def stability(bicycle: Bicycle) -> Stability:
     """Stable speed ranges by Routh's criterion (SOM chapter 4), A...E and X positive; solved, not scanned."""
-    coefficients = characteristic_polynomial(bicycle)
-
-    def at(letter: str, speed: float) -> float:
-        return float(polynomial.polyval(speed, coefficients[letter]))
-
-    edges = [
-        0.0,
-        *sorted({root for letter in "BCDEX" for root in _positive_roots(coefficients[letter])}),
-        math.inf,
-    ]
+    exact = exact_polynomials(bicycle)
+    values = {letter: as_floats(p) for letter, p in exact.items()}
+    edges = [0.0, *sorted({root for letter in "BCDEX" for root in positive_roots(exact[letter])}), math.inf]
     ranges: list[tuple[float, float]] = []
     for low, high in pairwise(edges):
         inside = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
-        if all(at(letter, inside) > 0.0 for letter in "ABCDEX"):
-            ranges.append((low, high))
-    # At X = 0 a pair of roots stands at +-i sqrt(D / B); it comes from the right where B X grows.
-    # At E = 0 a root near -E / D passes through zero.
-    slope = {letter: polynomial.polyder(coefficients[letter]) for letter in "EX"}
-    weave = [
-        speed
-        for speed in _positive_roots(coefficients["X"])
-        if at("B", speed) * at("D", speed) > 0.0
-        and polynomial.polyval(speed, slope["X"]) * at("B", speed) > 0.0
-    ]
-    capsize = [
-        speed
-        for speed in _positive_roots(coefficients["E"])
-        if polynomial.polyval(speed, slope["E"]) * at("D", speed) < 0.0
-    ]
+        if all(polynomial.polyval(inside, values[letter]) > 0.0 for letter in "ABCDEX"):
+            # Where a coefficient touches zero without a crossing, both sides are one range.
+            if ranges and ranges[-1][1] == low and _stable_at(values, low):
+                ranges[-1] = (ranges[-1][0], high)
+            else:
+                ranges.append((low, high))
+    crossings = boundaries(bicycle)
+    weave = [b.speed for b in crossings if b.condition == "X" and b.stabilises]
+    capsize = [b.speed for b in crossings if b.condition == "E" and not b.stabilises]
     return Stability(tuple(ranges), weave[0] if weave else None, capsize[0] if capsize else None)
 
 
-def _mixed(p: Array, q: Array) -> float:
-    """The part of det(P s + Q t) that goes with s t; twice the determinant for P = Q."""
-    return _sum(p[0, 0] * q[1, 1], p[1, 1] * q[0, 0], -p[0, 1] * q[1, 0], -p[1, 0] * q[0, 1])
+def boundaries(bicycle: Bicycle) -> tuple[Boundary, ...]:
+    """All speeds above zero at which eigenvalues cross the imaginary axis, ascending.
+
+    At X = 0 a pair of roots stands at +-i sqrt(D / B) if B and D have one sign (with different signs, two
+    real roots are each other's negative, which is no boundary); it comes from the right where B X grows. At E
+    = 0 a root near -E / D passes through zero.
+    """
+    exact = exact_polynomials(bicycle)
+    values = {letter: as_floats(p) for letter, p in exact.items()}
+    found = []
+    for letter in "EX":
+        for speed in positive_roots(exact[letter]):
+            b, d = (float(polynomial.polyval(speed, values[x])) for x in "BD")
+            slope = float(polynomial.polyval(speed, polynomial.polyder(values[letter])))
+            if letter == "E":
+                found.append(Boundary(speed, "E", 0.0, slope * d > 0.0))
+            elif b * d > 0.0:
+                found.append(Boundary(speed, "X", math.sqrt(d / b), slope * b > 0.0))
+    return tuple(sorted(found, key=lambda boundary: boundary.speed))
 
 
-def _sum(*terms: float) -> float:
-    """Sum of terms; exactly zero when they cancel to within rounding."""
-    total = math.fsum(terms)
-    return total if abs(total) > ROUNDING * math.fsum(abs(term) for term in terms) else 0.0
+def double_roots(bicycle: Bicycle) -> tuple[DoubleRoot, ...]:
+    """All speeds above zero at which two real eigenvalues coincide, ascending: the discriminant's roots."""
+    exact = exact_polynomials(bicycle)
+    found = []
+    for speed in positive_roots(combination(exact, DISCRIMINANT)):
+        quartic = np.array([polynomial.polyval(speed, as_floats(exact[x])) for x in "ABCDE"])
+        # A double root is one of the derivative too, and a simple one there: of its three, the one that is a
+        # root.
+        stationary = np.roots(np.polyder(quartic))
+        share = np.abs(np.polyval(quartic, stationary)) / np.polyval(np.abs(quartic), np.abs(stationary))
+        root = stationary[np.argmin(share)]
+        if abs(root.imag) <= 1e-9 * abs(root):
+            found.append(DoubleRoot(speed, float(root.real)))
+    return tuple(found)
 
 
-def _positive_roots(coefficients: Array) -> list[float]:
-    """Real positive roots, sorted. The polynomials are odd or even in speed: solved for its square."""
-    nonzero = np.flatnonzero(coefficients)
-    if len(nonzero) < 2:
-        return []
-    squared = polynomial.polyroots(coefficients[nonzero[0] : nonzero[-1] + 1 : 2])
-    real = squared[np.abs(squared.imag) <= 1e-9 * np.abs(squared)].real
-    return sorted(float(root) for root in np.sqrt(real[real > 0.0]))
+def _stable_at(values: dict[str, NDArray[np.float64]], speed: float) -> bool:
+    return all(polynomial.polyval(speed, values[letter]) > 0.0 for letter in "ABCDEX")

@@ -1,9 +1,9 @@
 """What besides gravity and motion turns the steering: springs, dampers, and feedback of a controller.
 
-    T_steer = -steer_spring * steer - steer_damper * steer_rate + lean_gain * lean + lean_rate_gain * lean_rate
+    T_steer = -steer_spring steer - steer_damper steer_rate + lean_gain lean + lean_rate_gain lean_rate
 
-A feedback of the steer angle or the steer rate is a spring or a damper of the other sign; a negative spring is the
-decentering spring of SOM section 6.4 (T_delta = -k delta, k = -10 N m/rad).
+A feedback of the steer angle or the steer rate is a spring or a damper of the other sign; a negative spring
+is the decentering spring of SOM section 6.4 (T_delta = -k delta, k = -10 N m/rad).
 
 Reference: Kooijman et al. 2011, supplement (SOM), doi 10.1126/science.1201959.
 """
@@ -21,7 +21,7 @@ from tms_model.parameters import ParameterError
 
 @dataclass(frozen=True)
 class SteerElements:
-    """Linear elements at the steering; all zero: none. Raises ParameterError for a number that is not finite."""
+    """Linear elements at the steering, zero where there is none. Raises ParameterError if not finite."""
 
     steer_spring: float = 0.0  # k [N m/rad], resists steer; negative: drives it away from the middle
     steer_damper: float = 0.0  # [N m s/rad], resists steer rate
