@@ -1,7 +1,7 @@
 """The nonlinear bicycle against table 1 of Basu-Mandal, Chatterjee and Papadopoulos 2007.
 
 Proc. R. Soc. A 463, doi 10.1098/rspa.2007.1849. The numbers as the public DynamicistToolKit repeats them
-(dtk/bicycle.py, basu_table_one_input and basu_table_one_output). The paper's axes: z up, x backwards; its angles
+(dtk/bicycle.py, basu_table_one_input and _output). The paper's axes: z up, x backwards; its angles
 theta (yaw), psi (from the ground to the frame), phi (pitch, pi when level), psi_f (steer), beta_r and beta_f
 (wheels, forward rolling positive), in terms of ours: yaw = -theta, lean = pi/2 - psi, pitch = pi - phi,
 steer = -psi_f.
@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 import pytest
-
 from tms_model import load_bicycle
 from tms_model.nonlinear import Motion, motion, whipple_parameters
 from tms_model.rolling import LEAN_RATE, PITCH_RATE, STEER_RATE, YAW_RATE

@@ -1,0 +1,171 @@
+"""What a change of speed adds to the linear equations: M q'' + v C1 q' + (g K0 + v^2 K2 + K') q = f.
+
+The nonlinear Whipple equations, linearised about upright straight motion whose speed v changes at the rate
+v', have M, C1, K0 and K2 as at constant speed, and one more stiffness K'. To first order these terms are in
+it, and there are no others:
+
+- turn: yaw acceleration is (cos lambda_s / w)(v steer' + v' steer + c steer''); the middle term, which Eq.
+  (10.2) implies, acts on the lateral and yaw inertia of the whole bicycle and of the front assembly;
+- shift: every mass is accelerated along the track, and stands beside it when the bicycle leans, yaws or
+  steers: the front assembly's m_A u_A v' about the steer axis; the whole bicycle's through the trail, which
+  yaws it as it steers, and through the pitch that lean and steer cause;
+- spin: the wheels' spin changes at v'/r, about axles that lean and steer, and the part of the ground's force
+  that spins the front wheel acts where the trail puts its contact;
+- force: the force that changes the speed, m_eff v' = -(rear + front), by where it acts (`Resistance`). Load
+  transfer enters here, and only here: it sets how rolling resistance divides between the wheels.
+
+A rolling force is a normal force that acts ahead of the contact; a brake is a torque between a wheel and its
+frame. Yaw rate = (cos lambda_s / w)(v steer + c steer'), Eq. (10.2), holds for any v(t). As everywhere in the
+Whipple model the wheels neither slip nor lift off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from tms_model.bicycle import Array, Bicycle
+from tms_model.catalogue import load_bicycle
+from tms_model.nonlinear import Load
+from tms_model.parameters import ParameterError, WhippleParameters
+
+Resistance = Literal["rolling", "rear_brake", "front_brake"]
+RESISTANCES: tuple[Resistance, ...] = get_args(Resistance)
+
+# Bicycles known by their matrices only, and whose parameters stand in for the terms above.
+STAND_INS = {"tms_eq_10_1": "tms_table_8_1"}
+
+
+@dataclass(frozen=True)
+class _Totals:
+    """Moments of the whole bicycle about its rear contact, and of the front assembly about the steer axis."""
+
+    mass: float  # m_T [kg]
+    moment_x: float  # m_T x_T [kg m]
+    moment_z: float  # m_T z_T [kg m]
+    inertia_xz: float  # I_Txz [kg m^2]
+    inertia_zz: float  # I_Tzz [kg m^2]
+    front_moment: float  # m_A u_A [kg m]
+    front_inertia_z: float  # I_Alz [kg m^2]
+
+
+def parameters_under_acceleration(bicycle: Bicycle) -> tuple[WhippleParameters, str]:
+    """The parameters for the terms in v', and the name of the bicycle they are taken from.
+
+    A bicycle given by matrices only has a stand-in (STAND_INS); without one ParameterError is raised.
+    """
+    if bicycle.parameters is not None:
+        return bicycle.parameters, bicycle.name
+    if bicycle.name not in STAND_INS:
+        raise ParameterError(
+            f"bicycle {bicycle.name}: expected masses and geometry for the terms of a changing speed, found"
+            " only the matrices of constant speed; take a bicycle with parameters, or a constant speed"
+        )
+    stand_in = load_bicycle(STAND_INS[bicycle.name])
+    assert stand_in.parameters is not None
+    return stand_in.parameters, stand_in.name
+
+
+def effective_mass(p: WhippleParameters) -> float:
+    """Mass [kg] that resists a change of speed: that of the bodies and I/r^2 of the wheels."""
+    return (
+        _totals(p).mass + _over(p.rear_spin, p.rear_wheel_radius) + _over(p.front_spin, p.front_wheel_radius)
+    )
+
+
+def resistance_load(p: WhippleParameters, acceleration: float, resistance: Resistance = "rolling") -> Load:
+    """The forces that give the upright bicycle this acceleration [m/s^2]; negative decelerates.
+
+    Rolling resistance divides between the wheels as their normal forces do, load transfer included. Raises
+    ParameterError if a wheel that should roll with resistance would lift off, or for a resistance that is not
+    one of RESISTANCES.
+    """
+    force = -effective_mass(p) * acceleration
+    if resistance == "rolling":
+        share = _front_load_share(p, acceleration, force)
+        if not 0.0 <= share <= 1.0:
+            raise ParameterError(
+                "acceleration by rolling resistance: expected both wheels to carry weight, found"
+                f" {100.0 * share:.0f} % of it on the front wheel at {acceleration:g} m/s^2; take rear_brake or"
+                " front_brake"
+            )
+        return Load(rear_rolling=(1.0 - share) * force, front_rolling=share * force)
+    if resistance == "rear_brake":
+        return Load(rear_brake=force)
+    if resistance == "front_brake":
+        return Load(front_brake=force)
+    raise ParameterError(f"resistance: expected one of {', '.join(RESISTANCES)}, found {resistance!r}")
+
+
+def acceleration_stiffness(
+    p: WhippleParameters, acceleration: float, resistance: Resistance = "rolling"
+) -> Array:
+    """The stiffness K' [N m/rad] (2, 2), rows and columns [lean, steer], of a speed that changes.
+
+    acceleration: v' [m/s^2], negative slows down. Raises ParameterError as `resistance_load` does.
+    """
+    t, load = _totals(p), resistance_load(p, acceleration, resistance)
+    w, c, r_R, r_F = p.wheelbase, p.trail, p.rear_wheel_radius, p.front_wheel_radius
+    cos, sin = math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
+    mu = c / w * cos
+    yaw = mu + cos  # heading of the front wheel per steer, with the yaw that the trail causes
+    # Pitch angle -(mu lean steer + mu sin steer^2 / 2): its derivatives by lean and steer.
+    pitch = -mu * np.array([[0.0, 1.0], [1.0, sin]])
+    # Speed of the front contact along its track, per unit of lean rate and steer rate.
+    across = r_F * cos + mu * (r_F - r_R)
+    front = np.array([[0.0, across], [across, yaw * c * cos + across * sin]])
+
+    turn = cos / w * np.array([[0.0, t.inertia_xz], [0.0, t.front_inertia_z + mu * t.inertia_zz]])
+    shift = (t.moment_z + t.mass * r_R) * pitch + np.array(
+        [[0.0, 0.0], [mu * t.moment_z, -t.front_moment * yaw]]
+    )
+    spin = _over(p.front_spin, r_F) * front - np.array(
+        [[0.0, 0.0], [mu * p.rear_spin + yaw * p.front_spin, yaw * sin * p.front_spin]]
+    )
+    braked = r_R * pitch
+    steered = np.array([[0.0, 0.0], [0.0, yaw * c * cos]])
+    force = load.front_rolling * front + load.rear_brake * braked + load.front_brake * (braked + steered)
+    stiffness: Array = acceleration * (turn + shift + spin) + force
+    return stiffness
+
+
+def _front_load_share(p: WhippleParameters, acceleration: float, rolling: float) -> float:
+    """Front wheel's share of the weight, from the balance of pitch of the upright bicycle.
+
+    w N_F = m_T g x_T + v' (m_T z_T - S_R - S_F) - rolling (r_R N_R + r_F N_F) / (m_T g)
+    """
+    t, spin = _totals(p), p.rear_spin + p.front_spin
+    r_R, r_F = p.rear_wheel_radius, p.front_wheel_radius
+    moment = p.gravity * t.moment_x + acceleration * (t.moment_z - spin) - rolling * r_R
+    return moment / (p.wheelbase * p.gravity * t.mass + rolling * (r_F - r_R))
+
+
+def _totals(p: WhippleParameters) -> _Totals:
+    x_B, z_B, m_B = p.rear_frame_x, p.rear_frame_z, p.rear_frame_mass
+    x_H, z_H, m_H = p.front_frame_x, p.front_frame_z, p.front_frame_mass
+    w, c, r_F, m_F = p.wheelbase, p.trail, p.front_wheel_radius, p.front_wheel_mass
+    r_R, m_R = p.rear_wheel_radius, p.rear_wheel_mass
+    cos, sin = math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
+    u_H, u_F = (x_H - w - c) * cos - z_H * sin, -c * cos + r_F * sin
+    front_zz = p.front_frame_inertia_zz + p.front_wheel_inertia_xx
+    return _Totals(
+        mass=m_R + m_B + m_H + m_F,
+        moment_x=m_B * x_B + m_H * x_H + m_F * w,
+        moment_z=-m_R * r_R + m_B * z_B + m_H * z_H - m_F * r_F,
+        inertia_xz=p.rear_frame_inertia_xz
+        + p.front_frame_inertia_xz
+        - (m_B * x_B * z_B + m_H * x_H * z_H - m_F * w * r_F),
+        inertia_zz=p.rear_wheel_inertia_xx
+        + p.rear_frame_inertia_zz
+        + front_zz
+        + (m_B * x_B**2 + m_H * x_H**2 + m_F * w**2),
+        front_moment=m_H * u_H + m_F * u_F,
+        front_inertia_z=m_H * u_H * x_H + m_F * u_F * w + p.front_frame_inertia_xz * sin + front_zz * cos,
+    )
+
+
+def _over(spin: float, radius: float) -> float:
+    return spin / radius if spin else 0.0
