@@ -83,64 +83,83 @@ def resistance_load(p: WhippleParameters, acceleration: float, resistance: Resis
     ParameterError if a wheel that should roll with resistance would lift off, or for a resistance that is not
     one of RESISTANCES.
     """
+    if resistance not in RESISTANCES:
+        raise ParameterError(f"resistance: expected one of {', '.join(RESISTANCES)}, found {resistance!r}")
     force = -effective_mass(p) * acceleration
-    if resistance == "rolling":
-        share = _front_load_share(p, acceleration, force)
-        if not 0.0 <= share <= 1.0:
-            raise ParameterError(
-                "acceleration by rolling resistance: expected both wheels to carry weight, found"
-                f" {100.0 * share:.0f} % of it on the front wheel at {acceleration:g} m/s^2; take rear_brake or"
-                " front_brake"
-            )
-        return Load(rear_rolling=(1.0 - share) * force, front_rolling=share * force)
     if resistance == "rear_brake":
         return Load(rear_brake=force)
     if resistance == "front_brake":
         return Load(front_brake=force)
-    raise ParameterError(f"resistance: expected one of {', '.join(RESISTANCES)}, found {resistance!r}")
+    front = float(_front_rolling(p, np.array([acceleration]))[0])
+    return Load(rear_rolling=force - front, front_rolling=front)
 
 
 def acceleration_stiffness(
-    p: WhippleParameters, acceleration: float, resistance: Resistance = "rolling"
+    p: WhippleParameters, acceleration: Array | float, resistance: Resistance = "rolling"
 ) -> Array:
-    """The stiffness K' [N m/rad] (2, 2), rows and columns [lean, steer], of a speed that changes.
+    """The stiffness K' [N m/rad], rows and columns [lean, steer], of a speed that changes.
 
-    acceleration: v' [m/s^2], negative slows down. Raises ParameterError as `resistance_load` does.
+    acceleration: v' [m/s^2], negative slows down. (2, 2) for a number, (n, 2, 2) for (n,). Raises
+    ParameterError as `resistance_load` does.
     """
-    t, load = _totals(p), resistance_load(p, acceleration, resistance)
-    w, c, r_R, r_F = p.wheelbase, p.trail, p.rear_wheel_radius, p.front_wheel_radius
+    if resistance not in RESISTANCES:
+        raise ParameterError(f"resistance: expected one of {', '.join(RESISTANCES)}, found {resistance!r}")
+    change = np.asarray(acceleration, dtype=float)[..., None, None]
+    mu = p.trail / p.wheelbase * math.cos(p.steer_axis_tilt)
+    yaw = mu + math.cos(p.steer_axis_tilt)  # heading of the front wheel per steer, trail's yaw included
+    pitch = -mu * np.array([[0.0, 1.0], [1.0, math.sin(p.steer_axis_tilt)]])
+    front = _front_track(p, mu, yaw)
+    free = _inertial(p, mu, yaw, pitch, front)
+    if resistance == "rolling":
+        stiffness: Array = change * free + _front_rolling(p, change) * front
+        return stiffness
+    arm = p.rear_wheel_radius * pitch
+    if resistance == "front_brake":
+        arm[1, 1] += yaw * p.trail * math.cos(p.steer_axis_tilt)
+    return change * (free - effective_mass(p) * arm)
+
+
+def _front_track(p: WhippleParameters, mu: float, yaw: float) -> Array:
+    """Length of the front contact's track by lean and steer, second derivatives [m] (2, 2)."""
     cos, sin = math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
-    mu = c / w * cos
-    yaw = mu + cos  # heading of the front wheel per steer, with the yaw that the trail causes
-    # Pitch angle -(mu lean steer + mu sin steer^2 / 2): its derivatives by lean and steer.
-    pitch = -mu * np.array([[0.0, 1.0], [1.0, sin]])
-    # Speed of the front contact along its track, per unit of lean rate and steer rate.
-    across = r_F * cos + mu * (r_F - r_R)
-    front = np.array([[0.0, across], [across, yaw * c * cos + across * sin]])
-
-    turn = cos / w * np.array([[0.0, t.inertia_xz], [0.0, t.front_inertia_z + mu * t.inertia_zz]])
-    shift = (t.moment_z + t.mass * r_R) * pitch + np.array(
-        [[0.0, 0.0], [mu * t.moment_z, -t.front_moment * yaw]]
-    )
-    spin = _over(p.front_spin, r_F) * front - np.array(
-        [[0.0, 0.0], [mu * p.rear_spin + yaw * p.front_spin, yaw * sin * p.front_spin]]
-    )
-    braked = r_R * pitch
-    steered = np.array([[0.0, 0.0], [0.0, yaw * c * cos]])
-    force = load.front_rolling * front + load.rear_brake * braked + load.front_brake * (braked + steered)
-    stiffness: Array = acceleration * (turn + shift + spin) + force
-    return stiffness
+    across = p.front_wheel_radius * cos + mu * (p.front_wheel_radius - p.rear_wheel_radius)
+    return np.array([[0.0, across], [across, yaw * p.trail * cos + across * sin]])
 
 
-def _front_load_share(p: WhippleParameters, acceleration: float, rolling: float) -> float:
-    """Front wheel's share of the weight, from the balance of pitch of the upright bicycle.
+def _inertial(p: WhippleParameters, mu: float, yaw: float, pitch: Array, front: Array) -> Array:
+    """Turn, shift and spin of the module's list per unit of v' [kg m] (2, 2).
 
-    w N_F = m_T g x_T + v' (m_T z_T - S_R - S_F) - rolling (r_R N_R + r_F N_F) / (m_T g)
+    pitch, front: second derivatives of the pitch angle and of the front contact's track by lean and steer.
     """
-    t, spin = _totals(p), p.rear_spin + p.front_spin
+    t, S_R, S_F = _totals(p), p.rear_spin, p.front_spin
+    cos, sin = math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
+    turn = cos / p.wheelbase * np.array([[0.0, t.inertia_xz], [0.0, t.front_inertia_z + mu * t.inertia_zz]])
+    shift = (t.moment_z + t.mass * p.rear_wheel_radius) * pitch
+    shift += np.array([[0.0, 0.0], [mu * t.moment_z, -yaw * t.front_moment]])
+    spin = _over(S_F, p.front_wheel_radius) * front
+    spin -= np.array([[0.0, 0.0], [mu * S_R + yaw * S_F, yaw * sin * S_F]])
+    return turn + shift + spin
+
+
+def _front_rolling(p: WhippleParameters, acceleration: Array) -> Array:
+    """Rolling resistance at the front wheel [N], shape of acceleration; its share is that of the weight.
+
+    Balance of pitch: w N_F = m_T g x_T + v' (m_T z_T - S_R - S_F) - F (r_R N_R + r_F N_F) / (m_T g), where
+    F = -m_eff v' is the resistance of both wheels.
+    """
+    t, force = _totals(p), -effective_mass(p) * acceleration
     r_R, r_F = p.rear_wheel_radius, p.front_wheel_radius
-    moment = p.gravity * t.moment_x + acceleration * (t.moment_z - spin) - rolling * r_R
-    return moment / (p.wheelbase * p.gravity * t.mass + rolling * (r_F - r_R))
+    moment = p.gravity * t.moment_x + acceleration * (t.moment_z - p.rear_spin - p.front_spin) - force * r_R
+    share = moment / (p.wheelbase * p.gravity * t.mass + force * (r_F - r_R))
+    lifted = (force != 0.0) & ((share < 0.0) | (share > 1.0))
+    if lifted.any():
+        raise ParameterError(
+            "acceleration by rolling resistance: expected both wheels to carry weight, found"
+            f" {100.0 * share[lifted][0]:.0f} % of it on the front wheel at"
+            f" {acceleration[lifted][0]:g} m/s^2; take rear_brake or front_brake"
+        )
+    rolling: Array = share * force
+    return rolling
 
 
 def _totals(p: WhippleParameters) -> _Totals:

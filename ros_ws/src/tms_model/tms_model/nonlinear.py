@@ -66,6 +66,7 @@ class Motion:
     wheel_accelerations: Array  # (2,) [rad/s^2]
     angular_acceleration: Array  # (3,) [rad/s^2], of the rear frame, space axes of `tms_model.rolling`
     rear_centre_acceleration: Array  # (3,) [m/s^2], of the rear wheel's centre, same axes
+    front_contact_force: Array  # (2,) [N], of the ground on the front wheel: up, and to its right
     kinetic_energy: float  # [J]
     potential_energy: float  # [J], zero at ground level
 
@@ -115,6 +116,7 @@ def motion(p: WhippleParameters, state: Array, load: Load | None = None) -> Moti
     force = generalised_force(p, at, load or Load()) + weight
     force -= moving.T @ (weights * steady.moving.reshape(12)) + turning.T @ torque
     accelerations = held + free @ np.linalg.solve(free.T @ mass @ free, free.T @ (force - mass @ held))
+    reaction = np.linalg.solve(constraint[:, DEPENDENT].T, (mass @ accelerations - force)[DEPENDENT])
     relative = np.stack([at.rear_spin, at.front_spin + at.front_roll_back])
     relative[0, PITCH_RATE] -= 1.0
     relative_bias = np.array([0.0, steady.front_spin + steady.front_roll_back])
@@ -129,6 +131,7 @@ def motion(p: WhippleParameters, state: Array, load: Load | None = None) -> Moti
         wheel_accelerations=relative @ accelerations + relative_bias,
         angular_acceleration=at.turning[1] @ accelerations + steady.turning[1],
         rear_centre_acceleration=at.moving[0] @ accelerations + steady.moving[0],
+        front_contact_force=reaction * np.array([-1.0, 1.0]),
         kinetic_energy=float(0.5 * rates @ mass @ rates),
         potential_energy=float(-p.gravity * masses @ centre_heights(at)),
     )
@@ -153,6 +156,21 @@ def centre_heights(at: Posture) -> Array:
     return np.array(
         [rear, rear + levers["rear_frame"], crown + levers["front_frame"], crown + levers["front_wheel"]]
     )
+
+
+def sensor(p: WhippleParameters, moving: Motion, position: Array) -> tuple[Array, Array]:
+    """What an ideal inertial sensor on the rear frame measures, nothing left out.
+
+    position: (3,) [m], of the sensor from the rear contact of the upright bicycle, SAE axes of the rear
+    frame. Returns angular velocity [rad/s] and specific force [m/s^2], each (3,), in these axes.
+    """
+    axes = moving.posture.rear_rotation
+    rate = moving.posture.turning[1] @ moving.rates
+    lever = axes @ (position + np.array([0.0, 0.0, p.rear_wheel_radius]))
+    acceleration = moving.rear_centre_acceleration + skew(moving.angular_acceleration) @ lever
+    acceleration += skew(rate) @ (skew(rate) @ lever)
+    acceleration[2] -= p.gravity
+    return axes.T @ rate, axes.T @ acceleration
 
 
 def _masses(p: WhippleParameters) -> Array:
