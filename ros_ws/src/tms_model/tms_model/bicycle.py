@@ -10,7 +10,9 @@ References: Kooijman et al. 2011, doi 10.1126/science.1201959, supplement (SOM);
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +45,7 @@ class Bicycle:
     description: str = ""
     source: str = ""
     uncertainty: str = ""
+    standard_deviations: Mapping[str, float] = field(default_factory=dict)  # of parameters, where stated
 
     def __post_init__(self) -> None:
         if (
@@ -66,7 +69,7 @@ class Bicycle:
         return speed * self.damping + self.steer_elements.damping
 
     def stiffness_at(self, speed: float) -> Array:
-        """Factor of q in (3.1) at a speed [m/s]: g K0 + v^2 K2 and the steer elements' part [N m/rad], (2, 2)."""
+        """Factor of q in (3.1) at a speed [m/s]: g K0 + v^2 K2 and the steer elements' part [N m/rad]."""
         return self.gravity * self.stiffness0 + speed**2 * self.stiffness2 + self.steer_elements.stiffness
 
     @property
@@ -99,9 +102,17 @@ def assemble(
     description: str = "",
     source: str = "",
     uncertainty: str = "",
+    standard_deviations: Mapping[str, float] | None = None,
 ) -> Bicycle:
-    """Bicycle from its parameters, by the algorithm of Meijaard et al. 2007, appendix A."""
-    mass, damping, stiffness0, stiffness2 = _matrices(parameters)
+    """Bicycle from its parameters, by the algorithm of Meijaard et al. 2007, appendix A.
+
+    standard_deviations: of some or all parameters by name, in their units.
+    """
+    tilt = parameters.steer_axis_tilt
+    spins = parameters.rear_spin, parameters.front_spin
+    mass, damping, stiffness0, stiffness2 = whipple_matrices(
+        parameters, math.cos(tilt), math.sin(tilt), *spins
+    )
     return Bicycle(
         name=name,
         mass=mass,
@@ -117,12 +128,17 @@ def assemble(
         description=description,
         source=source,
         uncertainty=uncertainty,
+        standard_deviations=dict(standard_deviations or {}),
     )
 
 
-def _matrices(p: WhippleParameters) -> tuple[Array, Array, Array, Array]:
-    """M, C1, K0, K2 in the letters of the paper."""
-    w, c, cos, sin = p.wheelbase, p.trail, math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
+def whipple_matrices(p: Any, cos: Any, sin: Any, S_R: Any, S_F: Any) -> tuple[Array, Array, Array, Array]:
+    """M, C1, K0, K2 in the letters of the paper, (2, 2), or (n, 2, 2) for n parameter sets at once.
+
+    p: WhippleParameters, or whatever has its attributes as arrays (n,) (`tms_model.ensemble`). cos, sin: of
+    the steer axis tilt. S_R, S_F: spin angular momenta of the wheels per unit speed [kg m].
+    """
+    w, c = p.wheelbase, p.trail
     r_R, m_R, I_Rxx = p.rear_wheel_radius, p.rear_wheel_mass, p.rear_wheel_inertia_xx
     x_B, z_B, m_B = p.rear_frame_x, p.rear_frame_z, p.rear_frame_mass
     x_H, z_H, m_H = p.front_frame_x, p.front_frame_z, p.front_frame_mass
@@ -139,8 +155,8 @@ def _matrices(p: WhippleParameters) -> tuple[Array, Array, Array, Array]:
 
     # Front assembly: centre of mass and inertia about it (A 7-A 12).
     m_A = m_H + m_F
-    x_A = (x_H * m_H + w * m_F) / m_A if m_A else w
-    z_A = (z_H * m_H - r_F * m_F) / m_A if m_A else 0.0
+    x_A = _centre(x_H * m_H + w * m_F, m_A, w)
+    z_A = _centre(z_H * m_H - r_F * m_F, m_A, 0.0)
     I_Axx = I_Hxx + I_Fxx + m_H * (z_H - z_A) ** 2 + m_F * (r_F + z_A) ** 2
     I_Axz = I_Hxz - m_H * (x_H - x_A) * (z_H - z_A) + m_F * (w - x_A) * (r_F + z_A)
     I_Azz = I_Hzz + I_Fxx + m_H * (x_H - x_A) ** 2 + m_F * (w - x_A) ** 2
@@ -152,17 +168,29 @@ def _matrices(p: WhippleParameters) -> tuple[Array, Array, Array, Array]:
     I_Alz = m_A * u_A * x_A + I_Axz * sin + I_Azz * cos
 
     mu = c / w * cos  # (A 17)
-    S_F, S_T = p.front_spin, p.rear_spin + p.front_spin  # (A 18)
+    S_T = S_R + S_F  # (A 18)
     S_A = m_A * u_A + mu * mx_T  # (A 19)
 
     M_pd = I_Alx + mu * I_Txz
-    mass = np.array([[I_Txx, M_pd], [M_pd, I_All + 2.0 * mu * I_Alz + mu**2 * I_Tzz]])  # (A 20)
-    stiffness0 = np.array([[mz_T, -S_A], [-S_A, -S_A * sin]])  # (A 22)
-    stiffness2 = np.array([[0.0, (S_T - mz_T) / w * cos], [0.0, (S_A + S_F * sin) / w * cos]])  # (A 24)
-    damping = np.array(  # (A 26)
-        [
-            [0.0, mu * S_T + S_F * cos + I_Txz / w * cos - mu * mz_T],
-            [-(mu * S_T + S_F * cos), I_Alz / w * cos + mu * (S_A + I_Tzz / w * cos)],
-        ]
+    mass = _matrix(I_Txx, M_pd, M_pd, I_All + 2.0 * mu * I_Alz + mu**2 * I_Tzz)  # (A 20)
+    stiffness0 = _matrix(mz_T, -S_A, -S_A, -S_A * sin)  # (A 22)
+    stiffness2 = _matrix(0.0, (S_T - mz_T) / w * cos, 0.0, (S_A + S_F * sin) / w * cos)  # (A 24)
+    damping = _matrix(  # (A 26)
+        0.0,
+        mu * S_T + S_F * cos + I_Txz / w * cos - mu * mz_T,
+        -(mu * S_T + S_F * cos),
+        I_Alz / w * cos + mu * (S_A + I_Tzz / w * cos),
     )
     return mass, damping, stiffness0, stiffness2
+
+
+def _centre(moment: Any, mass: Any, otherwise: Any) -> Any:
+    """First moment by mass; `otherwise` where there is no mass."""
+    massless = np.equal(mass, 0.0)
+    return np.where(massless, otherwise, moment / np.where(massless, 1.0, mass))
+
+
+def _matrix(*entries: Any) -> Array:
+    """Row by row, (2, 2) or (n, 2, 2)."""
+    columns = np.broadcast_arrays(*entries)
+    return np.stack(columns, axis=-1).reshape(*columns[0].shape, 2, 2)

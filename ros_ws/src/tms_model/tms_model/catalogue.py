@@ -1,8 +1,9 @@
 """The catalogue of bicycles: one YAML file each, in the folder `bicycles/`, or any file of the same form.
 
-A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters) or
-`geometry` and `matrices`. Keys that end in `_deg` are degrees, everything else SI units. Unknown and missing
-keys are errors.
+A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters, with
+`standard_deviations` of some of them if one likes) or `geometry` and `matrices`. Keys that end in `_deg` are
+degrees, everything else SI units. Unknown and missing keys are errors. Parameter files of BicycleParameters
+are read too (`tms_model.parameter_files`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 import yaml
 
 from tms_model.bicycle import Array, Bicycle, assemble
+from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
 from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
 
 FOLDER = Path(__file__).parent / "bicycles"
@@ -29,14 +31,22 @@ def bicycle_names() -> list[str]:
 
 
 def load_bicycle(name: str) -> Bicycle:
-    """Bicycle by catalogue name, or from a YAML file when `name` ends in .yaml. Raises ParameterError."""
+    """Bicycle by catalogue name, or from a file if `name` ends in .yaml, .yml or .txt. Raises ParameterError.
+
+    A text file is one of BicycleParameters; YAML may be its or of the catalogue's form.
+    """
+    if name.endswith(".txt"):
+        return read_text_file(Path(name))
     path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
     if path.parent == FOLDER and name not in bicycle_names():
         raise ParameterError(
             f"unknown bicycle {name!r}: expected one of {', '.join(bicycle_names())}, or the path of a .yaml"
-            " file"
+            " file, or of a .txt file of BicycleParameters"
         )
-    return _bicycle(path.stem, read_yaml(path), str(path))
+    document = read_yaml(path)
+    if is_of_this_form(document):
+        return from_yaml(path, document)
+    return _bicycle(path.stem, document, str(path))
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -83,11 +93,18 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
     if "matrices" in document:
         check_keys(document, (*_TEXT, "geometry", "matrices"), where)
     else:
-        check_keys(document, (*_TEXT, "parameters"), where)
+        check_keys(document, (*_TEXT, "parameters"), where, ("standard_deviations",))
     text = {key: str(document[key]) for key in _TEXT}
     if "parameters" in document:
         values = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
-        return assemble(name, WhippleParameters(**values), **text)
+        return assemble(
+            name,
+            WhippleParameters(**values),
+            description=text["description"],
+            source=text["source"],
+            uncertainty=text["uncertainty"],
+            standard_deviations=_deviations(document.get("standard_deviations", {}), where),
+        )
     check_keys(document["matrices"], ("M", "C1", "K0", "K2"), f"{where}: matrices")
     geometry = _numbers(document["geometry"], _GEOMETRY, f"{where}: geometry")
     matrices = {key: _matrix(value, f"{where}: {key}") for key, value in document["matrices"].items()}
@@ -107,8 +124,23 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
     )
 
 
+def _deviations(mapping: Any, where: str) -> dict[str, float]:
+    where = f"{where}: standard_deviations"
+    check_keys(mapping, (), where, _keys(PARAMETER_NAMES))
+    names = tuple(name for name in PARAMETER_NAMES if _keys((name,))[0] in mapping)
+    deviations = _numbers(mapping, names, where)
+    for name, value in deviations.items():
+        if value < 0.0:
+            raise ParameterError(f"{where}.{name}: expected zero or more, found {value:g}")
+    return deviations
+
+
+def _keys(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{name}_deg" if name == "steer_axis_tilt" else name for name in names)
+
+
 def _numbers(mapping: Any, names: tuple[str, ...], where: str) -> dict[str, float]:
-    keys = tuple(f"{name}_deg" if name == "steer_axis_tilt" else name for name in names)
+    keys = _keys(names)
     check_keys(mapping, keys, where)
     values = {key: number(mapping[key], f"{where}.{key}") for key in keys}
     return {
