@@ -1,6 +1,7 @@
 """Parameters of recorder and player: bad ones end in one line and exit code 2, or are refused at run time."""
 
 import json
+import resource
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -147,3 +148,27 @@ def test_a_type_that_is_not_installed_is_left_out_with_a_warning(nodes, bag, tmp
     said = nodes.log("player").read_text()
     assert "/foreign is not played: message type elsewhere_msgs/msg/Thing is not installed" in said
     assert f"{path}: 1 messages played" in said
+
+
+@pytest.mark.parametrize("executable", ["recorder", "player"])
+@pytest.mark.parametrize("argument", ["--nope", "-p", "rate"])
+def test_arguments_that_ros_does_not_know_are_refused(nodes, executable, argument):
+    nodes.finish(nodes.start("tms_bag", executable, argument), code=2)
+    assert "Traceback" not in nodes.log(executable).read_text()
+
+
+def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, tmp_path):
+    # A limit on the size of files fails as a full disk does, in the middle of a write.
+    recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'new'}")
+    nodes.wait_for("recorder", "recording to")
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
+    player = nodes.start(
+        *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscribers:=3", "-p", "loop:=true"),
+        *("-p", "rate:=5.0"),
+    )
+    nodes.finish(recorder, code=1)
+    nodes.stop(player)
+    assert only_line(nodes, "recorder").startswith("error: ")
+    with BagReader(tmp_path / "new") as reader:
+        assert reader.message_count > 0
+        assert not reader.complete

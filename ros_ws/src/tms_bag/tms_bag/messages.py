@@ -36,8 +36,8 @@ def message_type(type_name: str) -> Any:
 def serialize(message: Any) -> bytes:
     """CDR bytes, little endian, encapsulation header included, of an object of a `message_type`.
 
-    Filled up with zeros to a multiple of 4 bytes, since RTPS aligns to 32 bits: so bytes that have been through
-    DDS are the same as those that haven't. Readers ignore the filling.
+    Filled up with zeros to a multiple of 4 bytes, since RTPS aligns to 32 bits: bytes that have been through
+    DDS are then the same as those that haven't. Readers ignore the filling.
     """
     data = bytes(_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
     return data + bytes(-len(data) % 4)

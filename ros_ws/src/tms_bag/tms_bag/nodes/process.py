@@ -15,6 +15,7 @@ from tms_model import ParameterError
 from tms_bag.errors import RecordingError
 
 RCLError = rclpy_implementation.RCLError
+BAD_ARGUMENTS = (rclpy_implementation.UnknownROSArgsError, rclpy_implementation.RCLInvalidROSArgsError, RCLError)
 
 
 class Runnable(Protocol):
@@ -32,9 +33,12 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
 
     0: done, or stopped by SIGINT or SIGTERM; 1: the system failed (a full disk); 2: bad input.
     """
-    node = None
     try:
         rclpy.init(args=args)
+    except BAD_ARGUMENTS as error:
+        return _complain(error, 2)
+    node, code = None, 0
+    try:
         node = create()
         node.run()
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -43,23 +47,24 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
         if rclpy.ok():  # else a signal came while something was published
             raise
     except (ParameterError, RecordingError) as error:
-        return _complain(error, 2)
+        code = _complain(error, 2)
     except OSError as error:
-        return _complain(error, 1)
+        code = _complain(error, 1)
     finally:
-        code = _close(node)
-        with suppress(RCLError):  # the signal handler may be shutting down at this very moment
-            rclpy.try_shutdown()
+        code = _close(node, code)
     return code
 
 
-def _close(node: Runnable | None) -> int:
+def _close(node: Runnable | None, code: int) -> int:
+    """Finish the node; returns the exit code, another one if only this fails."""
     try:
         if node is not None:
             node.close()
     except (OSError, RecordingError) as error:
-        return _complain(error, 1)
-    return 0
+        code = code or _complain(error, 1)
+    with suppress(RCLError):  # the signal handler may be shutting down at this very moment
+        rclpy.try_shutdown()
+    return code
 
 
 def _complain(error: Exception, code: int) -> int:
