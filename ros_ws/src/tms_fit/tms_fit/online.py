@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
@@ -17,13 +17,17 @@ from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, check_names
-from tms_fit.estimators.least_squares import refine_start
+from tms_fit.estimators.least_squares import refine_start, solve
+from tms_fit.prediction import predictor
 from tms_fit.running_filter import FilterStep, RunningFilter
 from tms_fit.settings import BIASES, DEFAULT_FREE, FitSettings
 from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
 from tms_fit.window import Window, make_window
 
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
+MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
+EXPLAINED = 0.5  # share of a change that the free response must predict to be its cause
+SWINGING = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias")  # unknowns of that prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,7 @@ class OnlineFit:
         self._first_ns: int | None = None
         self._used: list[_Sample] = []
         self._strikes: list[Strike] = []
+        self._latest: Strike | None = None
         self._results: list[StrikeFit | FilterStep] = []
 
     def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
@@ -157,8 +162,12 @@ class OnlineFit:
     def _use(self, sample: _Sample) -> None:
         self._used.append(sample)
         strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
+        if strike is not None and self._is_free_response(strike):
+            self._detector.withdraw()
+            strike = None
         if strike is not None:
             self._strikes.append(strike)
+            self._latest = strike
         if self._filter is not None:
             self._run_filter(sample, strike)
         longest = round((self._settings.window + self._detector.latency) * NANOSECONDS)
@@ -166,8 +175,8 @@ class OnlineFit:
             len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest
         ):
             self._fit()
-        if not self._strikes and len(self._used) > 2000:
-            keep = sample.time_ns - 2 * NANOSECONDS
+        if not self._strikes and self._used[0].time_ns < sample.time_ns - 2 * MEMORY:
+            keep = sample.time_ns - MEMORY
             self._used = [one for one in self._used if one.time_ns > keep]
             self._speed.forget(keep)
             self._torque.forget(keep)
@@ -196,6 +205,26 @@ class OnlineFit:
         torque = self._used[index - 1].steer_torque if index else 0.0
         return torque if np.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
 
+    def _is_free_response(self, strike: Strike) -> bool:
+        """Whether the last strike's free response, as the bicycle predicts it, explains half of this one."""
+        last = self._latest
+        if last is None or strike.onset_ns - last.time_ns > MEMORY:
+            return False
+        samples = [one for one in self._used if last.time_ns <= one.time_ns <= strike.time_ns]
+        try:
+            window = self._window(samples)
+        except ParameterError:
+            return False
+        before = np.array([one.time_ns <= strike.onset_ns for one in samples])
+        known = replace(window, lean_rate=np.where(before, window.lean_rate, np.nan))
+        known = replace(known, yaw_rate=np.where(before, window.yaw_rate, np.nan))
+        solution = solve(known, SWINGING, {})
+        if not solution.observable:
+            return False
+        predicted = predictor(window).predict(dict(zip(SWINGING, solution.values, strict=True)))[:, 0]
+        change = float(predicted[-1] - predicted[np.flatnonzero(before)[-1]])
+        return change / strike.change > EXPLAINED
+
     def _fit(self) -> None:
         """Fit the oldest open strike."""
         strike = self._strikes.pop(0)
@@ -204,14 +233,7 @@ class OnlineFit:
             end_ns = min(end_ns, self._strikes[0].onset_ns)
         samples = [one for one in self._used if strike.time_ns <= one.time_ns <= end_ns]
         try:
-            window = make_window(
-                self._bicycle,
-                self._settings,
-                np.array([one.time_ns for one in samples]),
-                np.array([one.angular_velocity for one in samples]),
-                self._window_speed(samples),
-                self._window_torque(samples),
-            )
+            window = self._window(samples)
         except ParameterError as error:
             estimates = tuple(
                 Estimate(name, "not_observable", str(error)) for name in self._settings.estimators
@@ -224,6 +246,16 @@ class OnlineFit:
             window = refine_start(window, free, fixed, (strike.time_ns - strike.before_ns) / 1e9)
         estimates = tuple(ESTIMATORS[name](window, free, fixed) for name in self._settings.estimators)
         self._results.append(StrikeFit(strike, samples[-1].time_ns, window, estimates))
+
+    def _window(self, samples: list[_Sample]) -> Window:
+        return make_window(
+            self._bicycle,
+            self._settings,
+            np.array([one.time_ns for one in samples]),
+            np.array([one.angular_velocity for one in samples]),
+            self._window_speed(samples),
+            self._window_torque(samples),
+        )
 
     def _window_speed(self, samples: list[_Sample]) -> float:
         speeds = np.array([one.speed for one in samples])

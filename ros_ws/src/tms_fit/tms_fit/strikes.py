@@ -7,7 +7,7 @@ does. A change counts as a strike when, within `rise` seconds,
    bicycle that rings down swings less each time);
 2. it is steep: its steepest 0.1 s (less what noise feigns), kept up for 0.2 s, would make up the change; a
    weave oscillation is rounder;
-3. the last strike is at least `refractory` seconds ago.
+3. the last strike is at least `refractory` seconds ago, or was less than a third of it.
 
 The free response starts where the push ends: at the extremum of the smoothed lean rate, or where its level is
 first reached when it then stays. When one sample step holds more than half of the change, the strike fell
@@ -35,7 +35,7 @@ class StrikeSettings:
     rise: float = 0.3  # [s], longest push
     refractory: float = 1.0  # [s], between the starts of two free responses
     memory: float = 0.6  # [s], time constant with which earlier swings are forgotten
-    steepness: float = 0.95  # steepest slope over 0.1 s times 0.2 s, per change
+    steepness: float = 0.8  # steepest slope over 0.1 s times 0.2 s, per change
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class StrikeDetector:
         self._rate: deque[float] = deque()  # [rad/s]
         self._memory: deque[float] = deque()  # fading memory of swings, after each sample
         self._trigger_ns: int | None = None
-        self._last_ns: int | None = None
+        self._last: deque[Strike] = deque(maxlen=2)
 
     @property
     def latency(self) -> float:
@@ -83,6 +83,10 @@ class StrikeDetector:
             return None
         trigger_ns, self._trigger_ns = self._trigger_ns, None
         return self._judge(trigger_ns)
+
+    def withdraw(self) -> None:
+        """Take back the last strike: who knows the bicycle found it to be its free response."""
+        self._last.pop()
 
     def _forget(self) -> None:
         self._time.clear()
@@ -144,19 +148,26 @@ class StrikeDetector:
         )  # largest between neighbours: step, step + 1
         sharp = sign * (rate[step + 1] - rate[step]) > 0.5 * (smooth[peak] - sign * rate[base])
         start = step + 1 if sharp else self._top(time, smooth, base, peak, noise)
-        if (
-            self._last_ns is not None
-            and time[start] - self._last_ns < self._settings.refractory * NANOSECONDS
+        change = float(rate[start] - rate[base])
+        # It is measured from the farthest of many samples, which noise alone puts two deviations away.
+        if abs(change) - 2.0 * noise < self._settings.least_change or self._too_soon(
+            int(time[start]), change
         ):
             return None
-        change = float(rate[start] - rate[base])
         around = slice(max(0, base - 5), start + 6)
         if _steepest(time[around], rate[around], noise) * 0.2 < self._settings.steepness * abs(change):
             return None
-        self._last_ns = int(time[start])
         quiet = np.flatnonzero(sign * (rate[base:start] - rate[base]) <= 3.0 * noise)
         onset = step if sharp else base + int(quiet[-1])
-        return Strike(int(time[start]), int(time[start - 1]), int(time[onset]), change, noise, bool(sharp))
+        stamps = (int(time[index]) for index in (start, start - 1, onset))
+        self._last.append(Strike(*stamps, change, noise, bool(sharp)))
+        return self._last[-1]
+
+    def _too_soon(self, time_ns: int, change: float) -> bool:
+        """Whether this is the swing back from the last strike: at most twice as large, and soon after."""
+        if not self._last or time_ns - self._last[-1].time_ns >= self._settings.refractory * NANOSECONDS:
+            return False
+        return abs(change) < 3.0 * abs(self._last[-1].change)
 
     @staticmethod
     def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: float) -> int:
