@@ -64,13 +64,17 @@ class Bicycle:
                 " columns lean, steer?"
             )
 
-    def damping_at(self, speed: float) -> Array:
-        """Factor of q' in (3.1) at a speed [m/s]: v C1 and the steer elements' part [N m s/rad], (2, 2)."""
-        return speed * self.damping + self.steer_elements.damping
+    def damping_at(self, speed: float | Array) -> Array:
+        """Factor of q' in (3.1): v C1 and the steer elements' part [N m s/rad], (2, 2).
 
-    def stiffness_at(self, speed: float) -> Array:
-        """Factor of q in (3.1) at a speed [m/s]: g K0 + v^2 K2 and the steer elements' part [N m/rad]."""
-        return self.gravity * self.stiffness0 + speed**2 * self.stiffness2 + self.steer_elements.stiffness
+        speed: [m/s], or n of them for (n, 2, 2).
+        """
+        return np.multiply.outer(speed, self.damping) + self.steer_elements.damping
+
+    def stiffness_at(self, speed: float | Array) -> Array:
+        """Factor of q in (3.1): g K0 + v^2 K2 and the steer elements' part [N m/rad]; shapes as above."""
+        dynamic = np.multiply.outer(speed**2, self.stiffness2)
+        return self.gravity * self.stiffness0 + dynamic + self.steer_elements.stiffness
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from tms_model.bicycle import Array, Bicycle
+from tms_model.exponential import expm
 from tms_model.parameters import ParameterError
 
 STATE = ("lean", "steer", "lean_rate", "steer_rate")  # [rad, rad, rad/s, rad/s]
@@ -32,20 +32,19 @@ class LinearSystem:
     speed: float  # v [m/s]
 
 
-def state_matrix(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> Array:
-    """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s].
+def state_matrix(bicycle: Bicycle, speed: float | Array, lean_rate_gain: float = 0.0) -> Array:
+    """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s]; (n, 4, 4) at each of n speeds.
 
     The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller does
     in this run, T_steer = lean_rate_gain * lean rate; positive steers into the fall.
     """
     damping, stiffness = bicycle.damping_at(speed), bicycle.stiffness_at(speed)
-    damping[1, 0] -= lean_rate_gain
-    return np.block(
-        [
-            [np.zeros((2, 2)), np.eye(2)],
-            [-np.linalg.solve(bicycle.mass, stiffness), -np.linalg.solve(bicycle.mass, damping)],
-        ]
-    )
+    damping[..., 1, 0] -= lean_rate_gain
+    matrix = np.zeros((*damping.shape[:-2], 4, 4))
+    matrix[..., :2, 2:] = np.eye(2)
+    matrix[..., 2:, :2] = -np.linalg.solve(bicycle.mass, stiffness)
+    matrix[..., 2:, 2:] = -np.linalg.solve(bicycle.mass, damping)
+    return matrix
 
 
 def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> LinearSystem:
@@ -84,20 +83,17 @@ def response(system: LinearSystem, initial: Array, times: Array, steer_torque: A
     their spacing.
     """
     states = np.empty((len(times), *initial.shape))
-    state = initial
-    torque = (
-        np.zeros(len(times))
-        if steer_torque is None
-        else np.concatenate([steer_torque[:1], steer_torque[:-1]])
-    )
+    state = np.asarray(initial, dtype=float)
     transitions: dict[float, tuple[Array, Array]] = {}
     # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
-    for k, step in enumerate(np.round(np.diff(times, prepend=0.0), 9)):
+    for k, step in enumerate(np.round(np.diff(times, prepend=0.0), 9).tolist()):
         if step not in transitions:
-            transitions[step] = discretise(system, float(step))
+            transitions[step] = discretise(system, step)
         phi, gamma = transitions[step]
-        state = phi @ state + (gamma * torque[k]).reshape((-1,) + (1,) * (initial.ndim - 1))
-        states[k] = state
+        np.dot(phi, state, out=states[k])
+        state = states[k]
+        if steer_torque is not None:
+            state += (gamma * steer_torque[max(k - 1, 0)]).reshape((-1,) + (1,) * (initial.ndim - 1))
     return states
 
 

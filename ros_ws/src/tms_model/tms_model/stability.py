@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from tms_model.bicycle import Bicycle
+from tms_model.bicycle import Array, Bicycle
 from tms_model.characteristic import (
     DISCRIMINANT,
     as_floats,
@@ -68,10 +68,14 @@ class Stability:
         return self.stable_speed_ranges[0][0] if self.stable_speed_ranges else None
 
 
-def eigenvalues(bicycle: Bicycle, speed: float) -> NDArray[np.complex128]:
-    """Roots of det(M s^2 + v C1 s + g K0 + v^2 K2) = 0 (3.3) [1/s], complex (4,), sorted by re, then im."""
-    roots: NDArray[np.complex128] = np.linalg.eigvals(state_matrix(bicycle, speed)).astype(np.complex128)
-    return roots[np.lexsort((roots.imag, roots.real))]
+def eigenvalues(bicycle: Bicycle, speed: float | Array) -> NDArray[np.complex128]:
+    """Roots of det(M s^2 + v C1 s + g K0 + v^2 K2) = 0 (3.3) [1/s], complex (4,), sorted by re, then im.
+
+    speed: [m/s], or n of them for (n, 4).
+    """
+    roots = np.linalg.eigvals(state_matrix(bicycle, speed)).astype(np.complex128)
+    order = np.lexsort((roots.imag, roots.real), axis=-1)
+    return np.take_along_axis(roots, order, axis=-1)
 
 
 def stability(bicycle: Bicycle) -> Stability:
