@@ -149,7 +149,7 @@ class StrikeDetector:
         sharp = sign * (rate[step + 1] - rate[step]) > 0.5 * (smooth[peak] - sign * rate[base])
         start = step + 1 if sharp else self._top(time, smooth, base, peak, noise)
         change = float(rate[start] - rate[base])
-        # It is measured from the farthest of many samples, which noise alone puts two deviations away.
+        # The change is measured from the farthest of many samples: noise alone makes up two deviations.
         if abs(change) - 2.0 * noise < self._settings.least_change or self._too_soon(
             int(time[start]), change
         ):
@@ -159,8 +159,8 @@ class StrikeDetector:
             return None
         quiet = np.flatnonzero(sign * (rate[base:start] - rate[base]) <= 3.0 * noise)
         onset = step if sharp else base + int(quiet[-1])
-        stamps = (int(time[index]) for index in (start, start - 1, onset))
-        self._last.append(Strike(*stamps, change, noise, bool(sharp)))
+        first_ns, before_ns, onset_ns = (int(time[index]) for index in (start, start - 1, onset))
+        self._last.append(Strike(first_ns, before_ns, onset_ns, change, noise, bool(sharp)))
         return self._last[-1]
 
     def _too_soon(self, time_ns: int, change: float) -> bool:
