@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -64,9 +65,15 @@ def parameters_under_acceleration(bicycle: Bicycle) -> tuple[WhippleParameters, 
             f"bicycle {bicycle.name}: expected masses and geometry for the terms of a changing speed, found"
             " only the matrices of constant speed; take a bicycle with parameters, or a constant speed"
         )
-    stand_in = load_bicycle(STAND_INS[bicycle.name])
-    assert stand_in.parameters is not None
-    return stand_in.parameters, stand_in.name
+    return _stand_in(STAND_INS[bicycle.name]), STAND_INS[bicycle.name]
+
+
+@lru_cache
+def _stand_in(name: str) -> WhippleParameters:
+    # Read once: an estimator asks thousands of times.
+    parameters = load_bicycle(name).parameters
+    assert parameters is not None, f"{name} must have parameters to stand in for another bicycle"
+    return parameters
 
 
 def effective_mass(p: WhippleParameters) -> float:
