@@ -62,7 +62,8 @@ class _Comparison:
 
     def __init__(self, bicycle: Bicycle, system: LinearSystem, duration: float) -> None:
         self.bicycle, self.speed = bicycle, system.speed
-        self.times: Array = np.arange(round(duration / _STEP) + 1) * _STEP
+        count = round(duration / _STEP)
+        self.times = np.linspace(0.0, count * _STEP, count + 1)
         states = response(system, _initial(1.0)[:4], self.times)
         self.unit = np.stack([states[:, LEAN_RATE], yaw_rate(system, states)])  # (2, n), per rad/s
         self.first_rate = _SMALL / float(np.abs(states[:, LEAN]).max())
