@@ -82,10 +82,16 @@ def _integral(time: Array, values: Array) -> Array:
 
 
 def _feedback(torque: Array, lean_rate: Array) -> tuple[float, float]:
-    """Slope [N m s/rad] of torque over lean rate, and the share of the torque that it explains."""
+    """Slope [N m s/rad] of torque over lean rate, and the share of the torque that it explains.
+
+    The slope is taken along the torque of one sample earlier (an instrumental variable). A slope along the
+    lean rate itself would come out too small, by the share of noise in its variance, where the torque does
+    not carry that noise.
+    """
     good = np.isfinite(torque) & np.isfinite(lean_rate)
     t, y = torque[good], lean_rate[good]
-    if not t.any() or not y.any():
+    along = y[1:] @ t[:-1] if len(t) > 1 else 0.0
+    if not along:
         return 0.0, float("nan")
-    gain = float(t @ y / (y @ y))
+    gain = float(t[1:] @ t[:-1] / along)
     return gain, 1.0 - float(np.sum((t - gain * y) ** 2) / np.sum(t**2))
