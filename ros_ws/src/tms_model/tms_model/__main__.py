@@ -13,7 +13,7 @@ from tms_model.bicycle import Bicycle
 from tms_model.catalogue import bicycle_names, load_bicycle
 from tms_model.command_line import Parser, print_json, run
 from tms_model.parameters import ParameterError
-from tms_model.response import LEAN_RATE, STATE, linear_system, response, yaw_rate
+from tms_model.response_commands import add_arguments, print_linearity, respond
 from tms_model.stability import eigenvalues, stability
 
 
@@ -35,7 +35,8 @@ def _parser() -> Parser:
         "matrices": "M, C1, K0, K2 of the equations of motion (3.1)",
         "eigenvalues": "eigenvalues at a speed",
         "stability": "stable speed ranges, weave and capsize speed",
-        "response": "free response to an initial lean rate",
+        "response": "free response to an initial lean rate, linear or nonlinear",
+        "linearity": "lean angles at which the nonlinear motion departs from the linear prediction",
         "plot": "figure of the eigenvalues against speed",
     }
     subparsers = {
@@ -50,15 +51,9 @@ def _parser() -> Parser:
             subparser.add_argument(
                 "--json", action="store_true", help="one JSON document on stdout, SI units"
             )
-    for name in ("eigenvalues", "response"):
+    for name in ("eigenvalues", "response", "linearity"):
         subparsers[name].add_argument("--speed", type=float, required=True, help="forward speed [m/s]")
-    one = subparsers["response"]
-    one.add_argument("--lean-rate", type=float, required=True, help="initial lean rate [rad/s]")
-    one.add_argument("--duration", type=float, default=4.0, help="[s] (default 4)")
-    one.add_argument("--step", type=float, default=0.01, help="[s] (default 0.01)")
-    one.add_argument(
-        "--gain", type=float, default=0.0, help="steer torque per lean rate [N m s/rad] (default 0)"
-    )
+    add_arguments(subparsers)
     return parser
 
 
@@ -126,33 +121,6 @@ def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
         )
 
 
-def _response(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    if not (
-        arguments.step > 0.0
-        and arguments.duration >= arguments.step
-        and arguments.duration / arguments.step <= 1e6
-    ):
-        raise ParameterError(
-            "duration and step: expected a positive step, and 1 to 1000000 of them, found"
-            f" {arguments.duration:g} s by {arguments.step:g} s"
-        )
-    if not np.isfinite(arguments.lean_rate):
-        raise ParameterError(f"lean-rate: expected a finite number of rad/s, found {arguments.lean_rate:g}")
-    system = linear_system(bicycle, arguments.speed, arguments.gain)
-    times = np.arange(round(arguments.duration / arguments.step) + 1) * arguments.step
-    initial = np.zeros(4)
-    initial[LEAN_RATE] = arguments.lean_rate
-    states = response(system, initial, times)
-    columns = {"time": times, **dict(zip(STATE, states.T, strict=True)), "yaw_rate": yaw_rate(system, states)}
-    if arguments.json:
-        series = {name: values.tolist() for name, values in columns.items()}
-        print_json({"bicycle": bicycle.name, "speed": arguments.speed, **series})
-        return
-    print(" ".join(f"{name:>12}" for name in columns))
-    for row in zip(*columns.values(), strict=True):
-        print(" ".join(f"{value:12.6f}" for value in row))
-
-
 def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     # matplotlib takes a second to import: only who plots pays for it
     from tms_model.plot import eigenvalue_figure, save_figure
@@ -165,7 +133,8 @@ COMMANDS = {
     "matrices": _matrices,
     "eigenvalues": _eigenvalues,
     "stability": _stability,
-    "response": _response,
+    "response": respond,
+    "linearity": print_linearity,
     "plot": _plot,
 }
 
