@@ -12,14 +12,17 @@ Reference: Kooijman et al. 2011, supplement (SOM), chapter 4, doi 10.1126/scienc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import polynomial
 
 from tms_model.bicycle import Array, Bicycle
+from tms_model.roots import positive_roots
 
 LETTERS = "ABCDEX"
 NAMES = ("A0", "B1", "C0", "C2", "D1", "D3", "E0", "E2", "X2", "X4", "X6")  # of (4.2) and (4.3)
@@ -91,6 +94,21 @@ def routh(bicycle: Bicycle, speed: float) -> RouthTest:
     """The Routh test at a speed [m/s]."""
     letters = characteristic_polynomial(bicycle)
     return RouthTest(speed, {x: float(polynomial.polyval(speed, letters[x])) for x in LETTERS})
+
+
+def positive_ranges(bicycle: Bicycle) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Speeds [m/s] at which each of A...X is positive: open intervals, of which the last may have no end."""
+    ranges = {}
+    for letter, exact in exact_polynomials(bicycle).items():
+        edges = [0.0, *positive_roots(exact), math.inf]
+        values = as_floats(exact)
+        ranges[letter] = tuple(
+            (low, high)
+            for low, high in pairwise(edges)
+            if polynomial.polyval(0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0, values)
+            > 0.0
+        )
+    return ranges
 
 
 def exact_polynomials(bicycle: Bicycle) -> dict[str, Exact]:

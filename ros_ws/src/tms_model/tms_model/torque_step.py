@@ -17,7 +17,7 @@ from tms_model.parameters import ParameterError
 from tms_model.response import LEAN, STEER, linear_system, response, with_heading, yaw_rate
 
 FIGURE_5_1_SPEED = 5.0  # [m/s]
-FIGURE_5_1_TORQUE = -0.13  # [N m], 'about 0.13 Nm', to the left
+FIGURE_5_1_LEAN = 0.140781  # [rad] to the right, which 'about 0.13 Nm' to the left hold on the benchmark
 
 
 @dataclass(frozen=True, eq=False)
