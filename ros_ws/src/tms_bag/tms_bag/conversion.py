@@ -1,14 +1,14 @@
 """Samples to serialised messages and back: the only place where the fields of messages are known.
 
 A live node, a replayed bag and an offline run all go through these functions. Topics are written with a
-leading slash. Variances stand on the diagonals of the covariances; a value of 0 says "unknown" there
-(REP-145), so a variance of exactly 0 comes back as NaN. `imu/data_raw` says by orientation_covariance[0] = -1
+leading slash. Variances stand on the diagonals of the covariances; 0 says "unknown" there (REP-145),
+so that a variance of exactly 0 comes back as NaN. `imu/data_raw` says by orientation_covariance[0] = -1
 that it has no orientation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -27,166 +27,127 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
 )
+from tms_bag.tables import MessageError, Table, new_table, read_table, rows, stamps
 
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
 WORLD, REAR_FRAME, FRONT_FRAME = "world", "rear_frame", "front_frame"
 
+_STATE = ("lean", "steer", "lean_rate", "steer_rate")
+_LEAN_YAW = ("lean", "lean_rate", "yaw_rate")
+
 
 def imu_records(samples: ImuSamples) -> Iterator[Record]:
     """sensor_msgs/Imu without orientation on /imu/data_raw."""
-    kind, vector = message_type(topics.TYPES[topics.IMU]), message_type("geometry_msgs/msg/Vector3")
-    orientation = message_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
-    no_orientation = np.zeros(9)
-    no_orientation[0] = -1.0
-    rate_covariance = _covariance(samples.angular_velocity_variance)
-    force_covariance = _covariance(samples.specific_force_variance)
-    for time_ns, rate, force in zip(
-        samples.time_ns.tolist(),
-        samples.angular_velocity.tolist(),
-        samples.specific_force.tolist(),
-        strict=True,
-    ):
-        message = kind(
-            header=_header(time_ns, samples.frame_id),
-            orientation=orientation,
-            orientation_covariance=no_orientation,
-            angular_velocity=vector(*rate),
-            angular_velocity_covariance=rate_covariance,
-            linear_acceleration=vector(*force),
-            linear_acceleration_covariance=force_covariance,
-        )
-        yield _record(topics.IMU, time_ns, message)
+    table = _table(topics.IMU, samples.time_ns, samples.frame_id)
+    table["orientation.w"] = 1.0
+    table["orientation_covariance"][:, 0] = -1.0
+    _put_vectors(table, "angular_velocity", samples.angular_velocity)
+    _put_vectors(table, "linear_acceleration", samples.specific_force)
+    table["angular_velocity_covariance"] = _covariance(samples.angular_velocity_variance)
+    table["linear_acceleration_covariance"] = _covariance(samples.specific_force_variance)
+    return _records(topics.IMU, samples.time_ns, table)
 
 
 def imu_samples(records: Iterable[Record]) -> ImuSamples:
     """Angular velocity and specific force; NaN where the message says that it doesn't have one (REP-145)."""
-    messages = [_message(record) for record in records]
-    rates = np.array([_vector(m.angular_velocity) for m in messages]).reshape(-1, 3)
-    forces = np.array([_vector(m.linear_acceleration) for m in messages]).reshape(-1, 3)
-    rates[[m.angular_velocity_covariance[0] == -1.0 for m in messages]] = np.nan
-    forces[[m.linear_acceleration_covariance[0] == -1.0 for m in messages]] = np.nan
-    if not messages:
-        return ImuSamples(_times([]), rates, forces)
+    table, frames = _read(topics.IMU, records)
+    rates, forces = _vectors(table, "angular_velocity"), _vectors(table, "linear_acceleration")
+    rate_covariance, force_covariance = (
+        table["angular_velocity_covariance"],
+        table["linear_acceleration_covariance"],
+    )
+    rates[rate_covariance[:, 0] == -1.0] = np.nan
+    forces[force_covariance[:, 0] == -1.0] = np.nan
+    if not frames:
+        return ImuSamples(stamps(table), rates, forces)
     return ImuSamples(
-        time_ns=_times(messages),
+        time_ns=stamps(table),
         angular_velocity=rates,
         specific_force=forces,
-        angular_velocity_variance=_variance(messages[0].angular_velocity_covariance),
-        specific_force_variance=_variance(messages[0].linear_acceleration_covariance),
-        frame_id=messages[0].header.frame_id,
+        angular_velocity_variance=_variance(rate_covariance[0]),
+        specific_force_variance=_variance(force_covariance[0]),
+        frame_id=frames[0],
     )
 
 
 def lean_yaw_records(samples: LeanYawSamples) -> Iterator[Record]:
     """tms_msgs/LeanYaw on /imu/lean_yaw; a NaN is marked as not valid."""
-    kind = message_type(topics.TYPES[topics.LEAN_YAW])
-    columns = (samples.time_ns, samples.lean, samples.lean_rate, samples.yaw_rate, samples.saturation)
-    for time_ns, lean, lean_rate, yaw_rate, saturation in zip(*(c.tolist() for c in columns), strict=True):
-        message = kind(
-            header=_header(time_ns, REAR_FRAME),
-            lean=lean,
-            lean_rate=lean_rate,
-            yaw_rate=yaw_rate,
-            lean_valid=lean == lean,
-            lean_rate_valid=lean_rate == lean_rate,
-            yaw_rate_valid=yaw_rate == yaw_rate,
-            saturation=saturation,
-        )
-        yield _record(topics.LEAN_YAW, time_ns, message)
+    table = _table(topics.LEAN_YAW, samples.time_ns, REAR_FRAME)
+    for name in _LEAN_YAW:
+        table[name] = getattr(samples, name)
+        table[f"{name}_valid"] = ~np.isnan(table[name])
+    table["saturation"] = samples.saturation
+    return _records(topics.LEAN_YAW, samples.time_ns, table)
 
 
 def lean_yaw_samples(records: Iterable[Record]) -> LeanYawSamples:
     """Lean, lean rate and yaw rate; NaN where the message marks them as not valid."""
-    messages = [_message(record) for record in records]
-    return LeanYawSamples(
-        time_ns=_times(messages),
-        lean=_column(m.lean if m.lean_valid else np.nan for m in messages),
-        lean_rate=_column(m.lean_rate if m.lean_rate_valid else np.nan for m in messages),
-        yaw_rate=_column(m.yaw_rate if m.yaw_rate_valid else np.nan for m in messages),
-        saturation=np.array([m.saturation for m in messages], dtype=np.uint8),
+    table, _ = _read(topics.LEAN_YAW, records)
+    lean, lean_rate, yaw_rate = (
+        np.where(table[f"{name}_valid"], _column(table, name), np.nan) for name in _LEAN_YAW
     )
+    return LeanYawSamples(stamps(table), lean, lean_rate, yaw_rate, table["saturation"].astype(np.uint8))
 
 
 def speed_records(samples: SpeedSamples) -> Iterator[Record]:
     """geometry_msgs/TwistStamped in rear_frame on /bicycle/speed: x forward, the rest 0."""
-    kind = message_type(topics.TYPES[topics.SPEED])
-    twist, vector = message_type("geometry_msgs/msg/Twist"), message_type("geometry_msgs/msg/Vector3")
-    zero = vector(0.0, 0.0, 0.0)
-    for time_ns, speed in zip(samples.time_ns.tolist(), samples.speed.tolist(), strict=True):
-        message = kind(
-            header=_header(time_ns, REAR_FRAME), twist=twist(linear=vector(speed, 0.0, 0.0), angular=zero)
-        )
-        yield _record(topics.SPEED, time_ns, message)
+    table = _table(topics.SPEED, samples.time_ns, REAR_FRAME)
+    table["twist.linear.x"] = samples.speed
+    return _records(topics.SPEED, samples.time_ns, table)
 
 
 def speed_samples(records: Iterable[Record]) -> SpeedSamples:
     """Forward speed."""
-    messages = [_message(record) for record in records]
-    return SpeedSamples(_times(messages), _column(m.twist.linear.x for m in messages))
+    table, _ = _read(topics.SPEED, records)
+    return SpeedSamples(stamps(table), _column(table, "twist.linear.x"))
 
 
 def steer_torque_records(samples: SteerTorqueSamples) -> Iterator[Record]:
     """tms_msgs/SteerTorque on /bicycle/steer_torque."""
-    kind = message_type(topics.TYPES[topics.STEER_TORQUE])
-    for time_ns, torque in zip(samples.time_ns.tolist(), samples.steer_torque.tolist(), strict=True):
-        message = kind(header=_header(time_ns, FRONT_FRAME), steer_torque=torque)
-        yield _record(topics.STEER_TORQUE, time_ns, message)
+    table = _table(topics.STEER_TORQUE, samples.time_ns, FRONT_FRAME)
+    table["steer_torque"] = samples.steer_torque
+    return _records(topics.STEER_TORQUE, samples.time_ns, table)
 
 
 def steer_torque_samples(records: Iterable[Record]) -> SteerTorqueSamples:
     """Known steer torque."""
-    messages = [_message(record) for record in records]
-    return SteerTorqueSamples(_times(messages), _column(m.steer_torque for m in messages))
+    table, _ = _read(topics.STEER_TORQUE, records)
+    return SteerTorqueSamples(stamps(table), _column(table, "steer_torque"))
 
 
 def state_records(samples: StateSamples) -> Iterator[Record]:
     """tms_msgs/BicycleState on /bicycle/state."""
-    kind = message_type(topics.TYPES[topics.STATE])
-    columns = (
-        samples.time_ns,
-        samples.speed,
-        samples.state,
-        samples.yaw,
-        samples.yaw_rate,
-        samples.steer_torque,
-    )
-    for time_ns, speed, state, yaw, yaw_rate, torque in zip(*(c.tolist() for c in columns), strict=True):
-        lean, steer, lean_rate, steer_rate = state
-        message = kind(
-            header=_header(time_ns, WORLD),
-            speed=speed,
-            lean=lean,
-            steer=steer,
-            lean_rate=lean_rate,
-            steer_rate=steer_rate,
-            yaw=yaw,
-            yaw_rate=yaw_rate,
-            steer_torque=torque,
-        )
-        yield _record(topics.STATE, time_ns, message)
+    table = _table(topics.STATE, samples.time_ns, WORLD)
+    for name in ("speed", "yaw", "yaw_rate", "steer_torque"):
+        table[name] = getattr(samples, name)
+    for number, name in enumerate(_STATE):
+        table[name] = samples.state[:, number]
+    return _records(topics.STATE, samples.time_ns, table)
 
 
 def state_samples(records: Iterable[Record]) -> StateSamples:
     """True state."""
-    messages = [_message(record) for record in records]
+    table, _ = _read(topics.STATE, records)
     return StateSamples(
-        time_ns=_times(messages),
-        speed=_column(m.speed for m in messages),
-        state=np.array([(m.lean, m.steer, m.lean_rate, m.steer_rate) for m in messages]).reshape(-1, 4),
-        yaw=_column(m.yaw for m in messages),
-        yaw_rate=_column(m.yaw_rate for m in messages),
-        steer_torque=_column(m.steer_torque for m in messages),
+        time_ns=stamps(table),
+        speed=_column(table, "speed"),
+        state=np.stack([_column(table, name) for name in _STATE], axis=1),
+        yaw=_column(table, "yaw"),
+        yaw_rate=_column(table, "yaw_rate"),
+        steer_torque=_column(table, "steer_torque"),
     )
 
 
 def run_info_records(info: RunInfo) -> Iterator[Record]:
     """One tms_msgs/RunInfo on /run_info."""
+    _check_times(np.array([info.start_ns]))
     vector, quaternion = (
         message_type("geometry_msgs/msg/Vector3"),
         message_type("geometry_msgs/msg/Quaternion"),
     )
+    stamp = message_type("builtin_interfaces/msg/Time")(*divmod(info.start_ns, 10**9))
     message = message_type(topics.TYPES[topics.RUN_INFO])(
-        header=_header(info.start_ns, REAR_FRAME),
+        header=message_type("std_msgs/msg/Header")(stamp=stamp, frame_id=REAR_FRAME),
         bicycle=info.bicycle,
         parameter_names=list(info.parameters),
         parameter_values=np.array(list(info.parameters.values()), dtype=np.float64),
@@ -202,19 +163,21 @@ def run_info_records(info: RunInfo) -> Iterator[Record]:
         source_sha256=info.source_sha256,
         configuration=info.configuration,
     )
-    yield _record(topics.RUN_INFO, info.start_ns, message)
+    yield Record(
+        "/" + topics.RUN_INFO, topics.TYPES[topics.RUN_INFO], info.start_ns, serialize(message), info.start_ns
+    )
 
 
 def run_info(record: Record) -> RunInfo:
     """RunInfo of a message."""
-    m = _message(record)
+    m = deserialize(record.data, record.type)
     position, rotation = m.imu_mounting.translation, m.imu_mounting.rotation
     return RunInfo(
-        start_ns=_stamp_ns(m),
+        start_ns=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
         bicycle=m.bicycle,
         parameters=dict(zip(m.parameter_names, m.parameter_values.tolist(), strict=False)),
         speed=m.speed,
-        imu_position=np.array(_vector(position)),
+        imu_position=np.array([position.x, position.y, position.z]),
         imu_orientation=np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
         simulated=m.simulated,
         seed=m.seed,
@@ -225,44 +188,50 @@ def run_info(record: Record) -> RunInfo:
     )
 
 
-def _record(topic: str, time_ns: int, message: Any) -> Record:
-    return Record("/" + topic, topics.TYPES[topic], time_ns, serialize(message), time_ns)
+def _table(topic: str, time_ns: IntArray, frame_id: str) -> Table:
+    _check_times(time_ns)
+    return new_table(topics.TYPES[topic], time_ns, frame_id)
 
 
-def _header(time_ns: int, frame_id: str) -> Any:
-    if not 0 <= time_ns < LAST_STAMP_NS:
-        raise RecordingError(f"expected times from 0 to 2^31 s since 1970 (ROS stamps), found {time_ns} ns")
-    stamp = message_type("builtin_interfaces/msg/Time")(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
-    return message_type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+def _records(topic: str, time_ns: IntArray, table: Table) -> Iterator[Record]:
+    name, kind = "/" + topic, topics.TYPES[topic]
+    return (
+        Record(name, kind, time, data, time) for time, data in zip(time_ns.tolist(), rows(table), strict=True)
+    )
 
 
-def _message(record: Record) -> Any:
+def _read(topic: str, records: Iterable[Record]) -> tuple[Table, list[str]]:
+    listed = list(records)
     try:
-        return deserialize(record.data, record.type)
-    except RecordingError as error:
-        raise RecordingError(f"{record.topic} at {record.time_ns} ns: {error}") from error
+        return read_table(topics.TYPES[topic], [record.data for record in listed])
+    except MessageError as error:
+        wrong = listed[error.row]
+        raise RecordingError(f"{wrong.topic} at {wrong.time_ns} ns: {error}") from error
 
 
-def _stamp_ns(message: Any) -> int:
-    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+def _check_times(time_ns: IntArray) -> None:
+    wrong = time_ns[(time_ns < 0) | (time_ns >= LAST_STAMP_NS)]
+    if wrong.size:
+        raise RecordingError(f"expected times from 0 to 2^31 s since 1970 (ROS stamps), found {wrong[0]} ns")
 
 
-def _times(messages: Sequence[Any]) -> IntArray:
-    return np.array([_stamp_ns(message) for message in messages], dtype=np.int64)
+def _put_vectors(table: Table, name: str, vectors: FloatArray) -> None:
+    for number, axis in enumerate("xyz"):
+        table[f"{name}.{axis}"] = vectors[:, number]
 
 
-def _column(values: Iterable[float]) -> FloatArray:
-    return np.fromiter(values, dtype=np.float64)
+def _vectors(table: Table, name: str) -> FloatArray:
+    return np.stack([_column(table, f"{name}.{axis}") for axis in "xyz"], axis=1)
 
 
-def _vector(vector: Any) -> tuple[float, float, float]:
-    return vector.x, vector.y, vector.z
+def _column(table: Table, name: str) -> FloatArray:
+    return np.array(table[name], dtype=np.float64)
 
 
 def _covariance(variance: FloatArray) -> FloatArray:
     return np.diag(np.nan_to_num(variance, nan=0.0)).ravel()
 
 
-def _variance(covariance: FloatArray) -> FloatArray:
+def _variance(covariance: Any) -> FloatArray:
     diagonal = np.asarray(covariance, dtype=np.float64)[[0, 4, 8]]
     return np.where(diagonal > 0.0, diagonal, np.nan)

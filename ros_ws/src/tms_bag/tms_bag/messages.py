@@ -54,6 +54,11 @@ def deserialize(data: bytes, type_name: str) -> Any:
         ) from error
 
 
+def field_definitions(type_name: str) -> list[tuple[str, Any]]:
+    """Fields of a message type in their order: name, and rosbags' description of what it is."""
+    return list(_store_with(type_name).fielddefs[type_name][1])
+
+
 @cache
 def type_hash(type_name: str) -> str:
     """Hash of the type's description (REP-2011), 'RIHS01_' and 64 hexadecimal digits."""

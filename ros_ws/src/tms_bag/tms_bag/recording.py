@@ -64,21 +64,26 @@ def read_recording(
         space = imu_name.removesuffix(topics.IMU) if imu_name.endswith("/" + topics.IMU) else "/"
         speed_name = find_topic(bag, topics.SPEED, speed_topic, space)
         torque_name = find_topic(bag, topics.STEER_TORQUE, steer_torque_topic, space)
-        imu, repeated = _samples(bag, imu_name, conversion.imu_samples)
-        speed, repeated_speed = _optional(bag, speed_name, conversion.speed_samples)
-        torque, repeated_torque = _optional(bag, torque_name, conversion.steer_torque_samples)
-        lean_yaw, _ = _optional(
-            bag, find_topic(bag, topics.LEAN_YAW, None, space), conversion.lean_yaw_samples
+        names = {
+            topic: find_topic(bag, topic, None, space)
+            for topic in (topics.LEAN_YAW, topics.STATE, topics.RUN_INFO)
+        }
+        names |= {topics.IMU: imu_name, topics.SPEED: speed_name, topics.STEER_TORQUE: torque_name}
+        records = _records(bag, {name: topic for topic, name in names.items() if name})
+        imu, repeated = _samples(bag, records[topics.IMU], conversion.imu_samples)
+        speed, repeated_speed = _optional(bag, records.get(topics.SPEED), conversion.speed_samples)
+        torque, repeated_torque = _optional(
+            bag, records.get(topics.STEER_TORQUE), conversion.steer_torque_samples
         )
-        state, _ = _optional(bag, find_topic(bag, topics.STATE, None, space), conversion.state_samples)
+        info = records.get(topics.RUN_INFO)
         return Recording(
             path=Path(path),
             imu=imu,
             speed=speed,
             steer_torque=torque,
-            lean_yaw=lean_yaw,
-            state=state,
-            run_info=_run_info(bag, find_topic(bag, topics.RUN_INFO, None, space)),
+            lean_yaw=_optional(bag, records.get(topics.LEAN_YAW), conversion.lean_yaw_samples)[0],
+            state=_optional(bag, records.get(topics.STATE), conversion.state_samples)[0],
+            run_info=conversion.run_info(info[0]) if info else None,
             start_ns=bag.start_ns,
             custom_data=bag.custom_data,
             duplicates=repeated + repeated_speed + repeated_torque,
@@ -120,28 +125,32 @@ def _missing(bag: BagReader, topic: str, name: str | None = None) -> str:
     return f"{bag.path}: expected {wanted}, found none; the bag holds {others}: record that topic too"
 
 
-def _samples(bag: BagReader, name: str, decode: Callable[[Iterable[Record]], Samples]) -> tuple[Samples, int]:
+def _records(bag: BagReader, names: dict[str, str]) -> dict[str, list[Record]]:
+    """Records by topic, in one go through the bag; `names` says which topic a name in the bag stands for."""
+    found: dict[str, list[Record]] = {topic: [] for topic in names.values()}
+    for record in bag.records(names):
+        topic = names[record.topic]
+        if record.type == topics.TYPES[topic]:
+            found[topic].append(record)
+    return found
+
+
+def _samples(
+    bag: BagReader, records: list[Record], decode: Callable[[Iterable[Record]], Samples]
+) -> tuple[Samples, int]:
     try:
-        samples = decode(bag.records([name]))
+        samples = decode(records)
     except RecordingError as error:
         raise RecordingError(f"{bag.path}: {error}") from error
     if not samples.time_ns.any():
         raise RecordingError(
-            f"{bag.path}: expected time stamps in {name} (header.stamp), found only 0; let the"
+            f"{bag.path}: expected time stamps in {records[0].topic} (header.stamp), found only 0; let the"
             " sensor's driver stamp its messages"
         )
     return in_time_order(samples)
 
 
 def _optional(
-    bag: BagReader, name: str | None, decode: Callable[[Iterable[Record]], Samples]
+    bag: BagReader, records: list[Record] | None, decode: Callable[[Iterable[Record]], Samples]
 ) -> tuple[Samples | None, int]:
-    return (None, 0) if name is None else _samples(bag, name, decode)
-
-
-def _run_info(bag: BagReader, name: str | None) -> RunInfo | None:
-    if name is None:
-        return None
-    for record in bag.records([name]):
-        return conversion.run_info(record)
-    return None
+    return (None, 0) if records is None else _samples(bag, records, decode)

@@ -15,7 +15,7 @@ from tms_model import ParameterError
 from tms_bag.errors import RecordingError
 
 RCLError = rclpy_implementation.RCLError
-BAD_ARGUMENTS = (rclpy_implementation.UnknownROSArgsError, rclpy_implementation.RCLInvalidROSArgsError, RCLError)
+BAD_ARGUMENTS = (rclpy_implementation.UnknownROSArgsError, RCLError)
 
 
 class Runnable(Protocol):

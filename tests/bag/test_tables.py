@@ -1,0 +1,124 @@
+"""Tables of messages say the same as rosbags, message by message."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tms_bag import topics
+from tms_bag.messages import _store, deserialize, message_type, serialize
+from tms_bag.tables import MessageError, new_table, read_table, rows, stamps
+
+TYPES = [*sorted(set(topics.TYPES.values()) - {"tms_msgs/msg/RunInfo"}), "tms_msgs/msg/FilterState"]
+FRAMES = ["", "a", "imu_link", "rear_frame", "a name of 23 letters...", "Rad/größe"]
+
+
+def flat(message, prefix: str = "") -> dict[str, object]:
+    """Numbers of a message by their names, header left out."""
+    found = {}
+    for field in dataclasses.fields(message):
+        value = getattr(message, field.name)
+        if field.name.isupper() or field.name in ("__msgtype__", "header"):
+            continue
+        if dataclasses.is_dataclass(value):
+            found |= flat(value, f"{prefix}{field.name}.")
+        else:
+            found[prefix + field.name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return found
+
+
+def random_message(type_name: str, rng: np.random.Generator, frame_id: str):
+    """A message with a random value in every number."""
+
+    def fill(message):
+        values = {}
+        for field in dataclasses.fields(message):
+            value = getattr(message, field.name)
+            if field.name.isupper() or field.name in ("__msgtype__", "header"):
+                continue
+            if dataclasses.is_dataclass(value):
+                values[field.name] = fill(value)
+            elif isinstance(value, np.ndarray):
+                values[field.name] = rng.normal(size=value.size)
+            elif isinstance(value, bool):
+                values[field.name] = bool(rng.integers(2))
+            else:
+                values[field.name] = int(rng.integers(256)) if isinstance(value, int) else float(rng.normal())
+        return dataclasses.replace(message, **values)
+
+    empty = new_table(type_name, np.array([0]), frame_id)
+    message = fill(deserialize(next(rows(empty)), type_name))
+    stamp = message_type("builtin_interfaces/msg/Time")(int(rng.integers(2**31)), int(rng.integers(10**9)))
+    return dataclasses.replace(message, header=dataclasses.replace(message.header, stamp=stamp))
+
+
+@pytest.fixture(params=TYPES)
+def type_name(request) -> str:
+    return request.param
+
+
+@pytest.mark.parametrize("frame_id", FRAMES)
+def test_an_empty_table_is_a_message_of_zeros(type_name, frame_id):
+    data = next(rows(new_table(type_name, np.array([1_500_000_002_000_000_003]), frame_id)))
+    message = deserialize(data, type_name)
+    assert message.header.frame_id == frame_id
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_500_000_002, 3)
+    assert not any(np.any(value) for value in flat(message).values())
+    assert serialize(message) == data
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("extra", [0, 1, 3])
+def test_messages_of_all_frames_and_byte_orders_are_read_as_rosbags_reads_them(type_name, order, extra):
+    rng = np.random.default_rng(7)
+    messages = [random_message(type_name, rng, FRAMES[number % len(FRAMES)]) for number in range(40)]
+    data = [
+        bytes(_store().serialize_cdr(message, type_name, little_endian=order == "little")) + bytes(extra)
+        for message in messages
+    ]
+    table, frames = read_table(type_name, data)
+    assert frames == [message.header.frame_id for message in messages]
+    assert stamps(table).tolist() == [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    for row, message in enumerate(messages):
+        expected = flat(message)
+        assert {name: table[name][row].tolist() for name in expected} == expected
+    assert set(table.dtype.names) == {*flat(messages[0]), "stamp.sec", "stamp.nanosec"}
+
+
+def test_written_columns_are_what_rosbags_reads(type_name):
+    rng = np.random.default_rng(8)
+    expected = [random_message(type_name, rng, "imu_link") for _ in range(20)]
+    times = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in expected])
+    table = new_table(type_name, times, "imu_link")
+    for row, message in enumerate(expected):
+        for name, value in flat(message).items():
+            table[name][row] = value
+    assert list(rows(table)) == [serialize(message) for message in expected]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"",
+        lambda data: data[:3],
+        lambda data: data[:14],
+        lambda data: data[:-4],
+        lambda data: data + bytes(4),
+        lambda data: b"\x00\x07" + data[2:],
+        lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:],
+        lambda data: data[:12] + b"\x03\x00\x00\x00" + data[16:],
+    ],
+)
+@pytest.mark.parametrize("others", [0, 5])
+def test_bytes_that_are_no_message_are_refused_with_their_row(type_name, damage, others):
+    rng = np.random.default_rng(9)
+    data = [serialize(random_message(type_name, rng, "imu_link")) for _ in range(others + 1)]
+    data[others // 2] = damage(data[others // 2])
+    with pytest.raises(MessageError, match=f"expected a {type_name} message") as refused:
+        read_table(type_name, data)
+    assert refused.value.row == others // 2
+
+
+@pytest.mark.parametrize("type_name", ["tms_msgs/msg/RunInfo", "tms_msgs/msg/Estimate"])
+def test_types_with_texts_have_no_table(type_name):
+    with pytest.raises(TypeError, match="has no fixed size"):
+        new_table(type_name, np.array([0]), "x")
