@@ -22,6 +22,7 @@ setup(
         "tqdm>=4.66",
         "zstandard>=0.22",
     ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="TMS maintainers",
     maintainer_email="maintainers@example.org",

@@ -20,6 +20,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="TMS maintainers",
     maintainer_email="maintainers@example.org",

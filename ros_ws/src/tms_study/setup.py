@@ -13,6 +13,7 @@ setup(
     ],
     python_requires=">=3.10,<3.14",
     install_requires=["setuptools", "numpy>=1.26"],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="TMS maintainers",
     maintainer_email="maintainers@example.org",
