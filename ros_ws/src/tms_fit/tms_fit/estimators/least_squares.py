@@ -61,5 +61,5 @@ def refine_start(
     curvature = (around[0] - 2.0 * around[1] + around[2]) / step**2
     uniform = longest_delay / np.sqrt(12.0)
     degrees = int(np.isfinite(window.measured).sum()) - len(free) - 1
-    std = min(float(np.sqrt(2.0 * around[1] / degrees / curvature)), uniform) if curvature > 0.0 else uniform
+    std = min(float(np.sqrt(2.0 * best.fun / degrees / curvature)), uniform) if curvature > 0.0 else uniform
     return replace(window, delay=float(best.x), delay_std=float(std))
