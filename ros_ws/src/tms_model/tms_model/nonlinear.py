@@ -35,15 +35,18 @@ from tms_model.rolling import (
 class Load:
     """Torques on the bicycle and forces that slow it down; positive forces brake, negative ones drive.
 
-    Rolling resistance is a normal force that acts ahead of the contact: its power is -force x speed of the
-    contact along its track. A brake is a torque, force x radius, between a wheel and the frame that carries
-    it.
+    Each force is a moment, force x radius, on a wheel. Rolling: from the ground, about the wheel's axle, as
+    of a contact force that acts ahead of the contact and lies in the wheel's plane. Ahead: from the ground,
+    about a level axis, as of a vertical normal force that acts ahead of the contact. Brake: from the frame
+    that carries the wheel.
     """
 
     lean_torque: float = 0.0  # [N m], on the rear frame about the line of its heading
     steer_torque: float = 0.0  # [N m], on the front frame, reaction on the rear frame
     rear_rolling: float = 0.0  # [N]
     front_rolling: float = 0.0  # [N]
+    rear_ahead: float = 0.0  # [N]
+    front_ahead: float = 0.0  # [N]
     rear_brake: float = 0.0  # [N]
     front_brake: float = 0.0  # [N]
 
@@ -142,9 +145,11 @@ def generalised_force(p: WhippleParameters, at: Posture, load: Load) -> Array:
     force = np.zeros(5)
     force[LEAN_RATE] += load.lean_torque
     force[STEER_RATE] += load.steer_torque
-    force[SPEED] -= load.rear_rolling + load.rear_brake
+    force[SPEED] -= load.rear_rolling + load.rear_ahead + load.rear_brake
+    force += load.rear_rolling * p.rear_wheel_radius * (at.lean_rotation[:, 1] @ at.leaning)
     force[PITCH_RATE] -= load.rear_brake * p.rear_wheel_radius
-    force -= (load.front_rolling + load.front_brake) * at.front_speed
+    force -= (load.front_rolling + load.front_ahead + load.front_brake) * at.front_speed
+    force += load.front_rolling * p.front_wheel_radius * (at.front_rotation[:, 1] @ at.front_leaning)
     force += load.front_brake * p.front_wheel_radius * at.front_roll_back
     return force
 

@@ -38,7 +38,8 @@ def add_arguments(subparsers: Mapping[str, argparse.ArgumentParser]) -> None:
         "--resistance",
         choices=RESISTANCES,
         default="rolling",
-        help="what slows it down: rolling resistance of both wheels (default), or one brake",
+        help="what slows it down: the ground, by a moment about each axle (rolling, the default) or by normal"
+        " forces ahead of the contacts, or the brake of one wheel",
     )
     far = subparsers["linearity"]
     far.add_argument("--duration", type=float, default=2.0, help="of the compared responses [s] (default 2)")
