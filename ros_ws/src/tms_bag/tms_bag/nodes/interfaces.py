@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 
 from tms_bag.errors import RecordingError
 from tms_bag.qos import INFINITE_NS, Qos
@@ -24,6 +26,11 @@ def message_class(type_name: str) -> Any:
         raise RecordingError(
             f"message type {type_name} is not installed; build and source the workspace that holds it"
         ) from error
+
+
+def clock_message(time_ns: int) -> Clock:
+    """Message for /clock."""
+    return Clock(clock=Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9))
 
 
 def recorded_qos(profile: QoSProfile) -> Qos:

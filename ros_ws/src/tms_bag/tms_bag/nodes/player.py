@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from contextlib import suppress
 from threading import Thread
 from typing import Any
@@ -14,18 +13,13 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from tms_bag.errors import RecordingError
+from tms_bag.nodes import publishing
 from tms_bag.nodes.diagnostics import Report, report_every_second
+from tms_bag.nodes.interfaces import clock_message
 from tms_bag.nodes.pacing import Pacing
 from tms_bag.nodes.parameters import declare, declare_names
 from tms_bag.nodes.process import run_node
-from tms_bag.nodes.publishing import (
-    latched_topics,
-    make_publishers,
-    subscription_count,
-    wait_for_subscriptions,
-)
 from tms_bag.reader import BagReader
-from tms_bag.record import Record
 
 STEP = 0.01  # [s] how often the clock ticks, and a signal or a new rate is noticed
 ACKNOWLEDGE_TIMEOUT = 10.0  # [s]
@@ -43,11 +37,9 @@ class Player(Node):
         clock = declare(self, "publish_clock", False, "publish the bag's time on /clock")
         chosen = declare_names(self, "topics", "names of topics to play; empty: all")
         self._awaited = declare(
-            self, "wait_for_subscribers", 0, "start when so many subscriptions match", 0, 1000
+            self, "wait_for_subscribers", 0, "subscriptions (all topics) to wait for", 0, 1000
         )
-        self._patience = declare(
-            self, "wait_timeout", 30.0, "give up waiting for them after this [s]", 0.0, 1e6
-        )
+        self._patience = declare(self, "wait_timeout", 30.0, "longest wait for them [s]", 0.0, 1e6)
         if not path:
             raise RecordingError("parameter bag: expected the path of a bag, found nothing; say -p bag:=PATH")
         self._bag = BagReader(path)
@@ -56,7 +48,7 @@ class Player(Node):
             raise RecordingError(f"parameter start_offset: expected at most {length:g} s, found {offset:g} s")
         self._start_ns = self._bag.start_ns + round(offset * 1e9)
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if clock else None
-        self._playing = make_publishers(self, self._bag, chosen, ("/clock",) if clock else ())
+        self._playing = publishing.make_publishers(self, self._bag, chosen, ("/clock",) if clock else ())
         self._pacing = Pacing(self._start_ns, self._rate)
         self._played = 0
         self._spinner = SingleThreadedExecutor(context=self.context)
@@ -70,13 +62,13 @@ class Player(Node):
     def run(self) -> None:
         """Play to the end (or, with loop, until a signal), and wait until all is acknowledged."""
         self._answering.start()
-        wait_for_subscriptions(self._playing, self._awaited, self._patience, self.context)
+        publishing.wait_for_subscriptions(self._playing, self._awaited, self._patience, self.context)
         topics = sorted(self._playing)
         self.get_logger().info(f"playing {self._bag.path}: {', '.join(topics) or 'nothing'}")
         again = True
         while again:
             self._pacing = Pacing(self._start_ns, self._rate)
-            for record in self._records(topics):
+            for record in publishing.records_from(self._bag, topics, self._start_ns):
                 self._pacing.wait_until(record.time_ns, STEP, self._between)
                 self._playing[record.topic].publish(record.data)
                 self._played += 1
@@ -93,22 +85,13 @@ class Player(Node):
         late = f"at most {self._pacing.largest_delay * 1e3:.1f} ms late"
         print(f"{self._bag.path}: {self._played} messages played, {late}", file=sys.stderr)
 
-    def _records(self, topics: list[str]) -> Iterator[Record]:
-        """Latched messages from before the start, at once, as late joiners get them; then the rest."""
-        latched = latched_topics(self._bag).intersection(topics)
-        yield from self._bag.records(latched, stop_ns=self._start_ns)
-        yield from self._bag.records(topics, start_ns=self._start_ns)
-
     def _between(self) -> None:
         """While waiting for the next message: notice a signal or a new rate, let the clock tick."""
         if not self.context.ok():
             raise ExternalShutdownException
         self._pacing.set_rate(self._rate)
         if self._clock_publisher:
-            now = self._pacing.now_ns()
-            tick = Clock()
-            tick.clock.sec, tick.clock.nanosec = now // 10**9, now % 10**9
-            self._clock_publisher.publish(tick)
+            self._clock_publisher.publish(clock_message(self._pacing.now_ns()))
 
     def _answer(self) -> None:
         with suppress(ExternalShutdownException):
@@ -117,7 +100,7 @@ class Player(Node):
 
     def _report(self) -> Report:
         delay = self._pacing.largest_delay
-        subscriptions = subscription_count(self._playing)
+        subscriptions = publishing.subscription_count(self._playing)
         values = {
             "messages": self._played,
             "subscriptions": subscriptions,

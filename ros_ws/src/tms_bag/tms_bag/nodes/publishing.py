@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from rclpy.context import Context
@@ -12,6 +13,7 @@ from rclpy.node import Node
 from tms_bag.errors import RecordingError
 from tms_bag.nodes.interfaces import message_class, offered_profile
 from tms_bag.reader import BagReader
+from tms_bag.record import Record
 
 Publishers = dict[str, Any]  # by topic
 
@@ -65,10 +67,9 @@ def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, 
         time.sleep(0.01)
 
 
-def latched_topics(bag: BagReader) -> set[str]:
-    """Topics whose publishers kept their messages for late joiners."""
-    return {
-        channel.name
-        for channel in bag.channels
-        if any(qos.durability == "transient_local" for qos in channel.qos)
-    }
+def records_from(bag: BagReader, topics: Collection[str], start_ns: int) -> Iterator[Record]:
+    """Messages from a time on, after those of latched topics from before it: what a late joiner would get."""
+    channels = [channel for channel in bag.channels if channel.name in topics]
+    latched = {c.name for c in channels if any(qos.durability == "transient_local" for qos in c.qos)}
+    yield from bag.records(latched, stop_ns=start_ns)
+    yield from bag.records(topics, start_ns=start_ns)
