@@ -10,6 +10,7 @@ import pytest
 from tms_model import (
     Bicycle,
     ParameterError,
+    SteerElements,
     WhippleParameters,
     assemble,
     bicycle_names,
@@ -64,11 +65,20 @@ def test_four_times_the_size_moves_at_half_the_pace(name: str) -> None:
         return value if "mass" in key or key in ("gravity", "steer_axis_tilt") else 4.0 * value
 
     large = {key: scaled(key, value) for key, value in asdict(parameters(name)).items()}
-    bicycle = assemble("large", WhippleParameters(**large))
+    small = load_bicycle(name)
+    # Torque per angle goes with weight times length, times 4; torque per angular rate once more with time,
+    # times 8.
+    elements = SteerElements(
+        steer_spring=4.0 * small.steer_elements.steer_spring,
+        steer_damper=8.0 * small.steer_elements.steer_damper,
+        lean_gain=4.0 * small.steer_elements.lean_gain,
+        lean_rate_gain=8.0 * small.steer_elements.lean_rate_gain,
+    )
+    bicycle = assemble("large", WhippleParameters(**large), steer_elements=elements)
     for speed in (1.0, 3.6, 7.3):
         np.testing.assert_allclose(
             2.0 * eigenvalues(bicycle, 2.0 * speed),
-            eigenvalues(load_bicycle(name), speed),
+            eigenvalues(small, speed),
             rtol=1e-9,
             atol=1e-9,
         )

@@ -71,7 +71,8 @@ def test_a_steer_torque_starts_the_linear_accelerations(bicycle: Bicycle) -> Non
     upright = np.array([0.0, 0.0, 0.0, 0.0, 3.0])
     found = motion(whipple_parameters(bicycle), upright, Load(lean_torque=0.3, steer_torque=-0.1))
     expected = np.linalg.solve(bicycle.mass, [0.3, -0.1])
-    np.testing.assert_allclose(found.accelerations[:2], expected, rtol=1e-12)
+    # The rear-steered bicycle's heavy front assembly hardly moves with the steering: M loses three digits.
+    np.testing.assert_allclose(found.accelerations[:2], expected, rtol=1e-11)
 
 
 def test_energy_is_conserved_over_seconds_of_wide_motion(bicycle: Bicycle) -> None:

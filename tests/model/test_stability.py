@@ -81,12 +81,24 @@ def test_eigenvalues_are_sorted_and_pair_up(name: str) -> None:
         np.testing.assert_allclose(np.sort_complex(roots.conj()), np.sort_complex(roots), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", bicycle_names())
+# No unstable oscillation becomes stable: three never ride by themselves, one isn't lost to weave.
+WEAVELESS = {
+    "counterexample_1_no_gyro",
+    "counterexample_2_negative_trail",
+    "counterexample_3_mass_behind_axis",
+    "counterexample_7_rear_steering",
+}
+
+
+@pytest.mark.parametrize("name", sorted(WEAVELESS))
+def test_some_have_no_weave_speed(name: str) -> None:
+    assert stability(load_bicycle(name)).weave_speed is None
+
+
+@pytest.mark.parametrize("name", sorted(set(bicycle_names()) - WEAVELESS))
 def test_at_weave_speed_a_pair_crosses_the_imaginary_axis(name: str) -> None:
     bicycle, answer = load_bicycle(name), stability(load_bicycle(name))
-    assert (
-        answer.weave_speed is not None
-    )  # true of every bicycle of the catalogue: each is made to ride by itself
+    assert answer.weave_speed is not None
     pair = [
         root
         for root in eigenvalues(bicycle, answer.weave_speed)

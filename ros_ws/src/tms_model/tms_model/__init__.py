@@ -11,6 +11,7 @@ Conventions of the whole project, told here and in docs/conventions.md:
 
 from tms_model.bicycle import Bicycle, assemble
 from tms_model.catalogue import bicycle_names, load_bicycle
+from tms_model.changes import parse_changes, with_parameters
 from tms_model.characteristic import RouthTest, characteristic_polynomial, coefficients, routh
 from tms_model.modes import Mode, ModeCourse, follow_modes, modes
 from tms_model.parameters import ParameterError, WhippleParameters
@@ -52,8 +53,10 @@ __all__ = [
     "linear_system",
     "load_bicycle",
     "modes",
+    "parse_changes",
     "response",
     "routh",
     "stability",
+    "with_parameters",
     "yaw_rate",
 ]

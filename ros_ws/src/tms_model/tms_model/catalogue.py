@@ -1,15 +1,17 @@
 """The catalogue of bicycles: one YAML file each, in the folder `bicycles/`, or any file of the same form.
 
 A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters, with
-`standard_deviations` of some of them if one likes) or `geometry` and `matrices`. Keys that end in `_deg` are
-degrees, everything else SI units. Unknown and missing keys are errors. Parameter files of BicycleParameters
-are read too (`tms_model.parameter_files`).
+`standard_deviations` of some of them if one likes) or `geometry` and `matrices`; steer elements may stand
+beside the parameters or the geometry. Or it says a `parent`, another bicycle, and its `changes`. Keys that
+end in `_deg` are degrees, everything else SI units. Unknown and missing keys are errors. Parameter files of
+BicycleParameters are read too (`tms_model.parameter_files`).
 """
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,10 @@ import numpy as np
 import yaml
 
 from tms_model.bicycle import Array, Bicycle, assemble
+from tms_model.changes import with_parameters
 from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
 from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 
 FOLDER = Path(__file__).parent / "bicycles"
 _TEXT = ("description", "source", "uncertainty")
@@ -35,6 +39,11 @@ def load_bicycle(name: str) -> Bicycle:
 
     A text file is one of BicycleParameters; YAML may be its or of the catalogue's form.
     """
+    return _load(name, ())
+
+
+def _load(name: str, children: tuple[str, ...]) -> Bicycle:
+    """As `load_bicycle`; `children` are those on whose behalf it is loaded."""
     if name.endswith(".txt"):
         return read_text_file(Path(name))
     path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
@@ -46,6 +55,8 @@ def load_bicycle(name: str) -> Bicycle:
     document = read_yaml(path)
     if is_of_this_form(document):
         return from_yaml(path, document)
+    if "parent" in document:
+        return _child(path, document, (*children, str(path)))
     return _bicycle(path.stem, document, str(path))
 
 
@@ -96,17 +107,18 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
         check_keys(document, (*_TEXT, "parameters"), where, ("standard_deviations",))
     text = {key: str(document[key]) for key in _TEXT}
     if "parameters" in document:
-        values = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
+        values, elements = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
         return assemble(
             name,
             WhippleParameters(**values),
+            steer_elements=elements,
             description=text["description"],
             source=text["source"],
             uncertainty=text["uncertainty"],
             standard_deviations=_deviations(document.get("standard_deviations", {}), where),
         )
     check_keys(document["matrices"], ("M", "C1", "K0", "K2"), f"{where}: matrices")
-    geometry = _numbers(document["geometry"], _GEOMETRY, f"{where}: geometry")
+    geometry, elements = _numbers(document["geometry"], _GEOMETRY, f"{where}: geometry")
     matrices = {key: _matrix(value, f"{where}: {key}") for key, value in document["matrices"].items()}
     return Bicycle(
         name=name,
@@ -118,17 +130,38 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
         trail=geometry["trail"],
         steer_axis_tilt=geometry["steer_axis_tilt"],
         gravity=geometry["gravity"],
+        steer_elements=elements,
         description=text["description"],
         source=text["source"],
         uncertainty=text["uncertainty"],
     )
 
 
+def _child(path: Path, document: dict[str, Any], line: tuple[str, ...]) -> Bicycle:
+    """A bicycle that is another one with changes; `line` are the files from the first child to this one."""
+    where = str(path)
+    check_keys(document, (*_TEXT, "parent", "changes"), where)
+    parent, changes = str(document["parent"]), document["changes"]
+    if parent.endswith((".yaml", ".yml", ".txt")):
+        parent = str(path.parent / parent)  # beside this file
+    if line.count(where) > 1:
+        raise ParameterError(f"{where}: expected a parent that is none of its own children, found {parent}")
+    if not isinstance(changes, dict):
+        raise ParameterError(f"{where}: changes: expected names and numbers, found {type(changes).__name__}")
+    numbers = {str(key): number(value, f"{where}: changes.{key}") for key, value in changes.items()}
+    whole = _load(parent, line)
+    try:
+        changed = with_parameters(whole, numbers, name=path.stem)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: {error}") from error
+    return replace(changed, **{key: str(document[key]) for key in _TEXT})
+
+
 def _deviations(mapping: Any, where: str) -> dict[str, float]:
     where = f"{where}: standard_deviations"
     check_keys(mapping, (), where, _keys(PARAMETER_NAMES))
     names = tuple(name for name in PARAMETER_NAMES if _keys((name,))[0] in mapping)
-    deviations = _numbers(mapping, names, where)
+    deviations, _ = _numbers(mapping, names, where)
     for name, value in deviations.items():
         if value < 0.0:
             raise ParameterError(f"{where}.{name}: expected zero or more, found {value:g}")
@@ -139,14 +172,16 @@ def _keys(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{name}_deg" if name == "steer_axis_tilt" else name for name in names)
 
 
-def _numbers(mapping: Any, names: tuple[str, ...], where: str) -> dict[str, float]:
+def _numbers(mapping: Any, names: tuple[str, ...], where: str) -> tuple[dict[str, float], SteerElements]:
+    """The named numbers, of which none may be missing, and the steer elements that stand with them."""
     keys = _keys(names)
-    check_keys(mapping, keys, where)
-    values = {key: number(mapping[key], f"{where}.{key}") for key in keys}
+    check_keys(mapping, keys, where, STEER_ELEMENT_NAMES)
+    values = {key: number(value, f"{where}.{key}") for key, value in mapping.items()}
+    elements = SteerElements(**{key: value for key, value in values.items() if key in STEER_ELEMENT_NAMES})
     return {
         name: math.radians(values[key]) if key.endswith("_deg") else values[key]
         for name, key in zip(names, keys, strict=True)
-    }
+    }, elements
 
 
 def _matrix(value: Any, where: str) -> Array:
