@@ -24,6 +24,7 @@ _STEP = 0.01  # [s], between compared samples
 _SMALL = 1e-3  # [rad], of lean: where the search begins
 _TRIALS = 40
 _SEARCH_TOLERANCE = 1e-4  # relative, of the deviation found
+_FALL_TOLERANCE = 1e-3  # relative, of the initial lean rate from which on it falls
 _STEP_TOLERANCE = 1e-8  # of the nonlinear response: far below the smallest deviation of interest
 
 
@@ -80,13 +81,16 @@ class _Comparison:
 
     def search(self, target: float) -> Linearity:
         """Secant steps between bounds, on the square root of the deviation, which is nearly straight."""
-        low, high, rate = 0.0, math.inf, self.first_rate
+        low, high, rate, fall = 0.0, math.inf, self.first_rate, math.nan
         for _ in range(_TRIALS):
             found, states = self.deviation(rate)
             if abs(found - target) <= _SEARCH_TOLERANCE * target:
                 peaks = np.abs(states).max(axis=0)
                 return Linearity(target, rate, float(peaks[LEAN]), float(peaks[STEER]), OK, "found by search")
             low, high = (rate, high) if found < target else (low, rate)
+            fall = rate if math.isinf(found) else fall
+            if high == fall and high - low < _FALL_TOLERANCE * high:
+                break
             guess = rate * min(math.sqrt(target / found), 10.0) if found > 0.0 else 10.0 * rate
             rate = guess if low < guess < high else 0.5 * (low + high)
         message = f"upright up to {low:.4g} rad/s, where it deviates by less than {100 * target:g} %"
