@@ -1,8 +1,7 @@
 """The nonlinear bicycle against SymBRiM's Whipple bicycle, derived by other people in another way.
 
 SymBRiM builds the bicycle symbolically from sympy's bodies and joints, in the coordinates of J. K. Moore's
-dissertation (2012): the frames' axes are turned by the steer axis tilt, velocities are eliminated from the start.
-Its derivation takes ten seconds, once for all tests here.
+dissertation (2012): the frames' axes are turned by the steer axis tilt, Kane's method is sympy's. Its derivation takes ten seconds, once for all tests here.
 """
 
 from __future__ import annotations
@@ -132,8 +131,8 @@ def test_all_accelerations_are_symbrims(
     now = motion(p, np.array(state), Load(steer_torque=steer_torque))
     lean_rate, steer_rate, speed, yaw_rate, pitch_rate = now.rates
     rear, front = now.wheel_rates
-    # Its order is Moore's: contact x, y, yaw, lean, pitch with the tilt, rear wheel, steer, front wheel (its own
-    # description of the sixth and eighth, in 0.1.0, has the wheels the other way round).
+    # Its order is Moore's: contact x, y, yaw, lean, pitch with the tilt, rear wheel, steer, front wheel (its
+    # own description of the sixth and eighth, in 0.1.0, has the wheels the other way round).
     angles = np.array([0.0, 0.0, 0.0, now.lean, now.pitch + p.steer_axis_tilt, 0.0, now.steer, 0.0])
     rates = np.array([speed, 0.0, yaw_rate, lean_rate, pitch_rate, rear, steer_rate, front])
     expected = oracle(p, angles, rates, steer_torque)

@@ -87,8 +87,8 @@ def test_small_motions_of_both_are_the_same(name: str, resistance: Resistance) -
 
 
 def test_leaving_the_terms_out_is_not_the_same() -> None:
-    # That the test above would notice: with v(t) put into Eq. (3.1) and nothing else, the lean rate is wrong by
-    # a quarter of the first one within 2 s at C_r = 0.06. Lean and steer nearly balance, so little counts much.
+    # That the test above would notice: with v(t) put into Eq. (3.1) and nothing else, the lean rate is wrong
+    # by a quarter of the first one within 2 s at C_r = 0.06.
     bicycle = load_bicycle("tms_table_8_1")
     times = np.linspace(0.0, 2.0, 401)
     speeds, initial = 3.6 - 0.5886 * times, np.array([0.0, 0.0, 1.0, 0.0])
