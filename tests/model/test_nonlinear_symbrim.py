@@ -1,7 +1,8 @@
 """The nonlinear bicycle against SymBRiM's Whipple bicycle, derived by other people in another way.
 
 SymBRiM builds the bicycle symbolically from sympy's bodies and joints, in the coordinates of J. K. Moore's
-dissertation (2012): the frames' axes are turned by the steer axis tilt, Kane's method is sympy's. Its derivation takes ten seconds, once for all tests here.
+dissertation (2012): the frames' axes are turned by the steer axis tilt, Kane's method is sympy's. Its
+derivation takes ten seconds, once for all tests here.
 """
 
 from __future__ import annotations
