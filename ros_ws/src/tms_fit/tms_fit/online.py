@@ -20,14 +20,20 @@ from tms_fit.estimators import ESTIMATORS, check_names
 from tms_fit.estimators.least_squares import refine_start, solve
 from tms_fit.prediction import predictor
 from tms_fit.running_filter import FilterStep, RunningFilter
-from tms_fit.settings import BIASES, DEFAULT_FREE, FitSettings
+from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, FitSettings
 from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
 from tms_fit.window import Window, make_window
 
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
 MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
-EXPLAINED = 0.5  # share of a change that the free response must predict to be its cause
-SWINGING = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias")  # unknowns of that prediction
+LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
+LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
+EXPLAINED = 0.5  # share of a change that the motion before must predict to be its cause; at most its inverse
+SWINGING: tuple[str, ...] = (
+    "initial_lean_rate",
+    "initial_steer_rate",
+    "lean_rate_bias",
+)  # unknowns after a strike
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +212,16 @@ class OnlineFit:
         return torque if np.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
 
     def _is_free_response(self, strike: Strike) -> bool:
-        """Whether the last strike's free response, as the bicycle predicts it, explains half of this one."""
-        last = self._latest
-        if last is None or strike.onset_ns - last.time_ns > MEMORY:
-            return False
-        samples = [one for one in self._used if last.time_ns <= one.time_ns <= strike.time_ns]
+        """Whether the motion just before, as the bicycle continues it, explains half of this change."""
+        last, assumed = self._latest, SWINGING
+        since = strike.onset_ns - LOOK_BACK
+        if last is not None and strike.onset_ns - last.time_ns <= MEMORY:
+            since = last.time_ns
+        else:  # whatever moves now, its beginning is not known
+            assumed = (*INITIAL, "lean_rate_bias")
+        samples = [one for one in self._used if since <= one.time_ns <= strike.time_ns]
+        if last is None and not strike.sharp and strike.onset_ns < samples[0].time_ns + LEAST_HISTORY:
+            return True  # a recording that begins in mid-swing looks like this
         try:
             window = self._window(samples)
         except ParameterError:
@@ -218,12 +229,12 @@ class OnlineFit:
         before = np.array([one.time_ns <= strike.onset_ns for one in samples])
         known = replace(window, lean_rate=np.where(before, window.lean_rate, np.nan))
         known = replace(known, yaw_rate=np.where(before, window.yaw_rate, np.nan))
-        solution = solve(known, SWINGING, {})
+        solution = solve(known, assumed, {})
         if not solution.observable:
             return False
-        predicted = predictor(window).predict(dict(zip(SWINGING, solution.values, strict=True)))[:, 0]
-        change = float(predicted[-1] - predicted[np.flatnonzero(before)[-1]])
-        return change / strike.change > EXPLAINED
+        predicted = predictor(window).predict(dict(zip(assumed, solution.values, strict=True)))[:, 0]
+        share = float(predicted[-1] - predicted[np.flatnonzero(before)[-1]]) / strike.change
+        return EXPLAINED < share < 1.0 / EXPLAINED
 
     def _fit(self) -> None:
         """Fit the oldest open strike."""
