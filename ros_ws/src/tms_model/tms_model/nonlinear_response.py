@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import DOP853
 
 from tms_model.bicycle import Array, Bicycle
 from tms_model.nonlinear import Load, Motion, motion, whipple_parameters
 from tms_model.parameters import ParameterError
 from tms_model.response import LEAN, LEAN_RATE, STATE, STEER_RATE
 from tms_model.rolling import YAW_RATE
+
+if TYPE_CHECKING:
+    from scipy.integrate import DOP853
 
 NONLINEAR_STATE = (*STATE, "speed", "yaw", "x", "y")  # speed [m/s], yaw [rad], rear contact in the plane [m]
 SPEED, YAW, X, Y = range(4, 8)
@@ -122,6 +125,9 @@ class _Run:
                 row = until
 
     def _solver(self, end: float) -> DOP853:
+        # scipy.integrate takes half a second to import: only who integrates pays for it
+        from scipy.integrate import DOP853
+
         return DOP853(
             self._derivative, self._time, self._state, end, rtol=self._tolerance, atol=self._tolerance
         )

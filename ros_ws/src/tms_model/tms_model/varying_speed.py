@@ -20,12 +20,12 @@ import numpy as np
 
 from tms_model.acceleration import Resistance, acceleration_stiffness, parameters_under_acceleration
 from tms_model.bicycle import Array, Bicycle
+from tms_model.exponential import expm
 from tms_model.parameters import ParameterError
 from tms_model.response import STEER, STEER_RATE
 
 MAX_STEP = 0.005  # [s]
 _GAUSS = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))  # points in a step of length one
-_TAYLOR_ORDER = 14  # of the exponential of a matrix of norm 1/4: 2e-21 is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def varying_system(
     steps = np.diff(times)
     accelerations = np.diff(speeds) / steps
     parts = 1 if not accelerations.any() else max(1, math.ceil(round(float(steps.max()) / MAX_STEP, 6)))
-    exponentials = _exponential(_magnus(bicycle, steps / parts, speeds, accelerations, parts, resistance))
+    exponentials = expm(_magnus(bicycle, steps / parts, speeds, accelerations, parts, resistance))
     whole = exponentials[:, 0]
     for part in range(1, parts):
         whole = exponentials[:, part] @ whole
@@ -148,16 +148,3 @@ def _magnus(
 
 def _commutator(first: Array, second: Array) -> Array:
     return first @ second - second @ first
-
-
-def _exponential(matrices: Array) -> Array:
-    """Exponentials of matrices (..., m, m), all at once: Taylor's series of a fraction, squared."""
-    size = float(np.abs(matrices).sum(axis=-1).max(initial=0.0))
-    squarings = max(0, math.ceil(math.log2(size)) + 2) if size > 0.0 else 0
-    fraction = matrices / 2.0**squarings
-    result = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
-    for k in range(_TAYLOR_ORDER, 0, -1):
-        result = np.eye(matrices.shape[-1]) + fraction @ result / k
-    for _ in range(squarings):
-        result = result @ result
-    return result
