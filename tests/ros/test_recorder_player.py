@@ -132,7 +132,7 @@ def test_a_best_effort_publisher_is_recorded(nodes, participant, tmp_path):
 def test_a_played_bag_is_recorded_byte_for_byte(nodes, bag, records, tmp_path):
     recorder = start_recorder(nodes, tmp_path / "copy")
     player = nodes.start(
-        "tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscribers:=3", "-p", "rate:=5.0"
+        "tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscriptions:=3", "-p", "rate:=5.0"
     )
     nodes.finish(player)
     nodes.stop(recorder)
@@ -181,7 +181,7 @@ def listen(participant, topic, kind, profile=LATEST):
 def test_messages_come_with_their_timing(nodes, participant, bag, records, rate):
     arrived = listen(participant, "/bicycle/speed", "geometry_msgs/msg/TwistStamped")
     player = nodes.start(
-        "tms_bag", "player", "-p", f"bag:={bag}", "-p", f"rate:={rate}", "-p", "wait_for_subscribers:=1"
+        "tms_bag", "player", "-p", f"bag:={bag}", "-p", f"rate:={rate}", "-p", "wait_for_subscriptions:=1"
     )
     expected = [record for record in records if record.topic == "/bicycle/speed"]
     participant.spin_until(lambda: len(arrived) == len(expected), "all messages arrive")
@@ -202,7 +202,7 @@ def test_the_start_offset_leaves_out_the_beginning_but_what_is_latched(nodes, pa
     arrived = listen(participant, "/imu/data_raw", "sensor_msgs/msg/Imu")
     player = nodes.start(
         *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "start_offset:=1.5"),
-        *("-p", "wait_for_subscribers:=2", "-p", "rate:=2.0"),
+        *("-p", "wait_for_subscriptions:=2", "-p", "rate:=2.0"),
     )
     expected = [record.data for record in records if record.topic == "/imu/data_raw"][150:]
     participant.spin_until(lambda: len(arrived) == len(expected) and info, "all messages arrive")
@@ -215,7 +215,7 @@ def test_a_loop_goes_on_until_a_signal(nodes, participant, bag, records):
     arrived = listen(participant, "/bicycle/speed", "geometry_msgs/msg/TwistStamped")
     player = nodes.start(
         *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "loop:=true", "-p", "rate:=10.0"),
-        *("-p", "topics:=[/bicycle/speed]", "-p", "wait_for_subscribers:=1"),
+        *("-p", "topics:=[/bicycle/speed]", "-p", "wait_for_subscriptions:=1"),
     )
     once = [record.data for record in records if record.topic == "/bicycle/speed"]
     participant.spin_until(lambda: len(arrived) >= 3 * len(once), "three rounds")
@@ -240,7 +240,7 @@ def test_the_clock_tells_the_time_of_the_bag(nodes, participant, bag, records):
     )
     player = nodes.start(
         *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "publish_clock:=true"),
-        *("-p", "topics:=[imu/data_raw]", "-p", "wait_for_subscribers:=1"),
+        *("-p", "topics:=[imu/data_raw]", "-p", "wait_for_subscriptions:=1"),
     )
     participant.spin_until(lambda: len(arrived) == 200, "all messages arrive")
     nodes.finish(player)

@@ -38,7 +38,7 @@ def only_line(nodes, executable: str) -> str:
         ),
         (["bag:=BAG", "topics:=[a b]"], "parameter topics: expected topic names"),
         (
-            ["bag:=BAG", "wait_for_subscribers:=1", "wait_timeout:=0.1"],
+            ["bag:=BAG", "wait_for_subscriptions:=1", "wait_timeout:=0.1"],
             "expected 1 subscriptions within 0.1 s, found 0",
         ),
     ],
@@ -104,7 +104,7 @@ def test_the_player_refuses_what_is_out_of_range_while_it_plays(nodes, participa
 
 def test_parameters_are_described_with_their_ranges(nodes, participant, bag):
     player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.05")
-    names = ["bag", "rate", "start_offset", "loop", "publish_clock", "topics", "wait_for_subscribers"]
+    names = ["bag", "rate", "start_offset", "loop", "publish_clock", "topics", "wait_for_subscriptions"]
     described = call(
         participant,
         DescribeParameters,
@@ -122,7 +122,7 @@ def test_the_recorder_reports_its_counts(nodes, participant, bag, tmp_path):
     reports: list[DiagnosticArray] = []
     participant.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'new'}")
-    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscribers:=3")
+    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscriptions:=3")
 
     def counts() -> list[str]:
         values = [v for r in reports for s in r.status if s.name == "/recorder" for v in s.values]
@@ -163,7 +163,7 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
     nodes.wait_for("recorder", "recording to")
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
     player = nodes.start(
-        *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscribers:=3", "-p", "loop:=true"),
+        *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscriptions:=3", "-p", "loop:=true"),
         *("-p", "rate:=5.0"),
     )
     nodes.finish(recorder, code=1)

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from ament_index_python.packages import get_package_prefix
-from domain_coordinator import domain_id
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from tms_bag import BagReader, BagWriter, Recording, read_recording, topics
@@ -26,60 +20,6 @@ from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
 
 DEADLINE = 60.0  # [s]; generous, since nothing here measures speed
-
-
-class Nodes:
-    """Nodes of one test, in a ROS domain of their own."""
-
-    def __init__(self, domain: int, folder: Path) -> None:
-        self.domain, self.folder = domain, folder
-        self._environment = {
-            **os.environ,
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        }
-        self.processes: list[subprocess.Popen[bytes]] = []
-
-    def start(self, package: str, executable: str, *arguments: str) -> subprocess.Popen[bytes]:
-        program = Path(get_package_prefix(package)) / "lib" / package / executable
-        log = self.log(executable).open("wb")
-        process = subprocess.Popen(
-            [sys.executable, program, "--ros-args", *arguments],
-            env=self._environment,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            cwd=self.folder,
-        )
-        log.close()
-        self.processes.append(process)
-        return process
-
-    def log(self, executable: str) -> Path:
-        return self.folder / f"{executable}.log"
-
-    def wait_for(self, executable: str, text: str) -> None:
-        deadline = time.monotonic() + DEADLINE
-        while text not in self.log(executable).read_text():
-            assert time.monotonic() < deadline, (
-                f"{executable} did not say {text!r}: {self.log(executable).read_text()}"
-            )
-            time.sleep(0.02)
-
-
-@pytest.fixture
-def nodes(tmp_path: Path) -> Iterator[Nodes]:
-    with domain_id() as domain:
-        these = Nodes(domain, tmp_path)
-        yield these
-        for process in these.processes:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-
-
-def stop(process: subprocess.Popen[bytes], how: signal.Signals = signal.SIGINT) -> None:
-    process.send_signal(how)
-    assert process.wait(DEADLINE) == 0
 
 
 def run_of(**changes: object) -> SimulatedRun:
@@ -94,14 +34,14 @@ def write(run: SimulatedRun, path: Path) -> Recording:
     return read_recording(path)
 
 
-def test_simulator_at_ten_times_real_time_is_recorded_byte_for_byte(nodes: Nodes, tmp_path: Path) -> None:
+def test_simulator_at_ten_times_real_time_is_recorded_byte_for_byte(nodes: Any, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={bag}")
     simulator = nodes.start(
         "tms_sim", "simulator", "-p", "rate:=10.0", "-p", "seed:=5", "-p", "wait_for_subscribers:=1"
     )
-    assert simulator.wait(DEADLINE) == 0
-    stop(recorder)
+    nodes.finish(simulator)
+    nodes.stop(recorder)
     expected: dict[str, list[bytes]] = {}
     for record in run_of(seed=5).records():
         expected.setdefault(record.topic, []).append(record.data)
@@ -116,7 +56,7 @@ def test_simulator_at_ten_times_real_time_is_recorded_byte_for_byte(nodes: Nodes
     assert {"/clock", "/diagnostics"} <= others
 
 
-def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Nodes, tmp_path: Path) -> None:
+def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Any, tmp_path: Path) -> None:
     recording = write(run_of(seed=6), tmp_path / "bag")
     listener = nodes.start(
         "tms_bag", "recorder", "-p", f"output:={tmp_path / 'live'}", "-p", "topics:=[estimate,filter_state]"
@@ -129,16 +69,17 @@ def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Nodes, tmp_p
         "tms_bag",
         "player",
         *("-p", f"bag:={tmp_path / 'bag'}", "-p", "rate:=4.0"),
-        *("-p", f"topics:=[{','.join(inputs)}]", "-p", f"wait_for_subscribers:={len(inputs)}"),
+        *("-p", f"topics:=[{','.join(inputs)}]", "-p", f"wait_for_subscriptions:={len(inputs)}"),
     )
-    assert player.wait(DEADLINE) == 0
+    nodes.finish(player)
     expected = expected_messages(tmp_path / "bag")
+    wanted = len(expected["/filter_state"])
     deadline = time.monotonic() + DEADLINE
-    while count(tmp_path / "live", "/filter_state") < len(expected["/filter_state"]):
+    while count(tmp_path / "live", "/filter_state") < wanted:
         assert time.monotonic() < deadline
         time.sleep(0.1)
-    stop(estimator)
-    stop(listener)
+    nodes.stop(estimator)
+    nodes.stop(listener)
     with BagReader(tmp_path / "live") as reader:
         for topic, messages in expected.items():
             assert [record.data for record in reader.records([topic])] == messages
@@ -178,7 +119,7 @@ def test_every_sample_gets_a_filter_state(tmp_path: Path) -> None:
     assert len(expected_messages(tmp_path / "bag")["/filter_state"]) == len(run.imu.time_ns)
 
 
-def test_namespace_moves_all_topics(nodes: Nodes, tmp_path: Path) -> None:
+def test_namespace_moves_all_topics(nodes: Any, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={bag}")
     simulator = nodes.start(
@@ -186,8 +127,8 @@ def test_namespace_moves_all_topics(nodes: Nodes, tmp_path: Path) -> None:
         "simulator",
         *("-r", "__ns:=/bike1", "-p", "rate:=10.0", "-p", "duration:=4.0", "-p", "wait_for_subscribers:=1"),
     )
-    assert simulator.wait(DEADLINE) == 0
-    stop(recorder)
+    nodes.finish(simulator)
+    nodes.stop(recorder)
     with BagReader(bag) as reader:
         names = {entry.name for entry in reader.topics}
     assert {f"/bike1/{topic}" for topic in topics.TYPES if topic != topics.STEER_TORQUE} <= names
@@ -195,7 +136,7 @@ def test_namespace_moves_all_topics(nodes: Nodes, tmp_path: Path) -> None:
     assert len(fit_recording(recording, bicycle_of(recording, None), FitSettings()).strikes) == 1
 
 
-def test_stamps_by_the_nodes_clock(nodes: Nodes, tmp_path: Path) -> None:
+def test_stamps_by_the_nodes_clock(nodes: Any, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     before = time.time_ns()
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={bag}")
@@ -213,8 +154,8 @@ def test_stamps_by_the_nodes_clock(nodes: Nodes, tmp_path: Path) -> None:
             "wait_for_subscribers:=1",
         ),
     )
-    assert simulator.wait(DEADLINE) == 0
-    stop(recorder)
+    nodes.finish(simulator)
+    nodes.stop(recorder)
     stamps = read_recording(bag).imu.time_ns
     assert before < stamps[0] < time.time_ns()
     assert set(np.diff(stamps)) == {10_000_000}
@@ -228,22 +169,17 @@ def test_stamps_by_the_nodes_clock(nodes: Nodes, tmp_path: Path) -> None:
     [("tms_sim", "simulator", "simulating"), ("tms_fit", "estimator", "estimator ready")],
 )
 def test_signals_end_a_node_cleanly(
-    nodes: Nodes, package: str, executable: str, ready: str, how: signal.Signals
+    nodes: Any, package: str, executable: str, ready: str, how: signal.Signals
 ) -> None:
     process = nodes.start(package, executable)
     nodes.wait_for(executable, ready)
-    stop(process, how)
+    nodes.stop(process, how)
     assert "Traceback" not in nodes.log(executable).read_text()
 
 
-def test_parameters_are_checked_at_run_time(nodes: Nodes) -> None:
+def test_parameters_are_checked_at_run_time(nodes: Any, participant: Any) -> None:
     nodes.start("tms_sim", "simulator", "-p", "rate:=0.1")
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=nodes.domain)
-    node = rclpy.create_node("asker", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    client = node.create_client(SetParameters, "/simulator/set_parameters")
+    client = participant.create_client(SetParameters, "/simulator/set_parameters")
     assert client.wait_for_service(DEADLINE)
 
     def ask(name: str, value: float) -> tuple[bool, str]:
@@ -251,7 +187,7 @@ def test_parameters_are_checked_at_run_time(nodes: Nodes) -> None:
             name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         )
         future = client.call_async(SetParameters.Request(parameters=[wish]))
-        executor.spin_until_future_complete(future, DEADLINE)
+        participant.spin_until(future.done, f"the answer about {name}")
         result = future.result().results[0]
         return result.successful, result.reason
 
@@ -260,9 +196,6 @@ def test_parameters_are_checked_at_run_time(nodes: Nodes) -> None:
         accepted, reason = ask(name, value)
         assert not accepted
         assert name in reason
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.shutdown(context=context)
 
 
 @pytest.mark.parametrize(
@@ -283,10 +216,10 @@ def test_parameters_are_checked_at_run_time(nodes: Nodes) -> None:
     ],
 )
 def test_bad_parameters_are_one_line(
-    nodes: Nodes, package: str, executable: str, parameter: str, expected: str
+    nodes: Any, package: str, executable: str, parameter: str, expected: str
 ) -> None:
     process = nodes.start(package, executable, "-p", parameter)
-    assert process.wait(DEADLINE) == 2
+    nodes.finish(process, 2)
     lines = nodes.log(executable).read_text().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("error: ")

@@ -21,7 +21,7 @@ from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json
 from tms_fit.settings import FitSettings
 from tms_model.command_line import finite
-from tms_model.plot import save_figure
+from tms_model.figures.saving import save_figure
 
 from tms_study.processes import NodeProcess, own_domain
 
@@ -102,7 +102,7 @@ def _estimate(folder: Path) -> None:
             "bag": folder / "bag",
             "rate": RATE,
             "topics": f"[{','.join(inputs)}]",
-            "wait_for_subscribers": len(inputs),
+            "wait_for_subscriptions": len(inputs),
         }
         player = NodeProcess("tms_bag", "player", parameters, folder / "log" / "player.log")
         try:

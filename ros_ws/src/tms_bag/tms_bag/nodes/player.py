@@ -37,7 +37,7 @@ class Player(Node):
         clock = declare(self, "publish_clock", False, "publish the bag's time on /clock")
         chosen = declare_names(self, "topics", "names of topics to play; empty: all")
         self._awaited = declare(
-            self, "wait_for_subscribers", 0, "subscriptions (all topics) to wait for", 0, 1000
+            self, "wait_for_subscriptions", 0, "subscriptions to wait for, all topics together", 0, 1000
         )
         self._patience = declare(self, "wait_timeout", 30.0, "longest wait for them [s]", 0.0, 1e6)
         if not path:

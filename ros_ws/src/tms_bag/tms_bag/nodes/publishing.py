@@ -62,7 +62,7 @@ def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, 
         if time.monotonic() > deadline:
             raise RecordingError(
                 f"expected {wanted} subscriptions within {timeout:g} s, found {found};"
-                " start the subscribers first, or lower wait_for_subscribers"
+                " start the subscribers first, or lower wait_for_subscriptions"
             )
         time.sleep(0.01)
 
