@@ -84,7 +84,7 @@ def test_tables_for_people(command: Any, question: str) -> None:
     assert len(done.out.splitlines()) == {
         "list": len(bicycle_names()),
         "show": 29,
-        "stability": 1,
+        "stability": 3,
         "response": 10,
     }.get(question, 4)
 

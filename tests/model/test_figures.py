@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from tms_model import ParameterError, bicycle_names, load_bicycle, stability
 from tms_model.figures import FIGURES
-from tms_model.plot import save_figure
+from tms_model.figures.saving import save_figure
 
 
 @pytest.mark.parametrize("name", bicycle_names())

@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         estimator = arguments.estimator[0] if arguments.estimator else "least_squares"
         fit = _fit(arguments, (estimator,))
         # matplotlib takes a second to import: only who plots pays for it
-        from tms_model.plot import save_figure
+        from tms_model.figures.saving import save_figure
 
         from tms_fit.figure3b import figure_3b
 

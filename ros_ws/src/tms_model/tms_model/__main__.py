@@ -7,14 +7,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
+from tms_model import response_commands, stability_commands
 from tms_model.bicycle import Bicycle
 from tms_model.catalogue import bicycle_names, load_bicycle
 from tms_model.command_line import Parser, print_json, run
+from tms_model.description import show
 from tms_model.parameters import ParameterError
-from tms_model.response_commands import add_arguments, print_linearity, respond
-from tms_model.stability import eigenvalues, stability
+from tms_model.response_commands import print_linearity, respond
+from tms_model.stability_commands import print_eigenvalues, print_stability
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -37,23 +37,29 @@ def _parser() -> Parser:
         "stability": "stable speed ranges, weave and capsize speed",
         "response": "free response to an initial lean rate, linear or nonlinear",
         "linearity": "lean angles at which the nonlinear motion departs from the linear prediction",
-        "plot": "figure of the eigenvalues against speed",
+        "plot": "figure of the eigenvalues against speed with the bicycle to scale, or another one",
     }
     subparsers = {
         name: commands.add_parser(name, help=text, description=text) for name, text in help_texts.items()
     }
     for name, subparser in subparsers.items():
         if name != "list":
-            subparser.add_argument("bicycle", help="name in the catalogue, or a .yaml file")
+            subparser.add_argument("bicycle", help="name in the catalogue, or a .yaml or .txt file")
         if name == "plot":
             subparser.add_argument("-o", "--output", required=True, help="PNG, SVG or PDF to write")
+            subparser.add_argument(
+                "--figure",
+                default="eigenvalues",
+                help="(default eigenvalues; a wrong one lists all)",
+            )
         else:
             subparser.add_argument(
                 "--json", action="store_true", help="one JSON document on stdout, SI units"
             )
     for name in ("eigenvalues", "response", "linearity"):
         subparsers[name].add_argument("--speed", type=float, required=True, help="forward speed [m/s]")
-    add_arguments(subparsers)
+    stability_commands.add_arguments(subparsers)
+    response_commands.add_arguments(subparsers)
     return parser
 
 
@@ -66,17 +72,6 @@ def _list(arguments: argparse.Namespace) -> None:
         print(f"{bicycle.name:16} {bicycle.description}")
 
 
-def _show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    text = {key: getattr(bicycle, key) for key in ("description", "source", "uncertainty")}
-    if arguments.json:
-        print_json({"bicycle": bicycle.name, **text, "parameters": bicycle.numbers})
-        return
-    for key, value in text.items():
-        print(f"{key}: {value}")
-    for name, value in bicycle.numbers.items():
-        print(f"  {name:28} {value:.9g}")
-
-
 def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     if arguments.json:
         print_json({"bicycle": bicycle.name, **{k: m.tolist() for k, m in bicycle.canonical.items()}})
@@ -87,52 +82,21 @@ def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
         )
 
 
-def _eigenvalues(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    if not (np.isfinite(arguments.speed) and arguments.speed >= 0.0):
-        raise ParameterError(f"speed: expected zero or a positive number of m/s, found {arguments.speed:g}")
-    roots = eigenvalues(bicycle, arguments.speed)
-    if arguments.json:
-        values = [{"re": float(root.real), "im": float(root.imag)} for root in roots]
-        print_json({"bicycle": bicycle.name, "speed": arguments.speed, "eigenvalues": values})
-        return
-    for root in roots:
-        print(f"{root.real:+.9f} {root.imag:+.9f}i 1/s")
-
-
-def _stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    answer = stability(bicycle)
-    if arguments.json:
-        ranges = [[low, high] for low, high in answer.stable_speed_ranges]
-        print_json(
-            {
-                "bicycle": bicycle.name,
-                "stable_speed_ranges": ranges,
-                "weave_speed": answer.weave_speed,
-                "capsize_speed": answer.capsize_speed,
-            }
-        )
-        return
-    if not answer.stable_speed_ranges:
-        print(f"{bicycle.name} is not self-stable at any speed")
-    for low, high in answer.stable_speed_ranges:
-        print(
-            f"{bicycle.name} is self-stable from {low:.7f} m/s "
-            + (f"to {high:.7f} m/s" if np.isfinite(high) else "up")
-        )
-
-
 def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     # matplotlib takes a second to import: only who plots pays for it
-    from tms_model.plot import eigenvalue_figure, save_figure
+    from tms_model.figures import FIGURES
+    from tms_model.figures.saving import save_figure
 
-    save_figure(eigenvalue_figure(bicycle), Path(arguments.output))
+    if arguments.figure not in FIGURES:
+        raise ParameterError(f"figure: expected one of {', '.join(FIGURES)}, found {arguments.figure!r}")
+    save_figure(FIGURES[arguments.figure](bicycle), Path(arguments.output))
 
 
 COMMANDS = {
-    "show": _show,
+    "show": show,
     "matrices": _matrices,
-    "eigenvalues": _eigenvalues,
-    "stability": _stability,
+    "eigenvalues": print_eigenvalues,
+    "stability": print_stability,
     "response": respond,
     "linearity": print_linearity,
     "plot": _plot,

@@ -3,7 +3,7 @@
 Two ways, which agree when the uncertainties are small: first order (each parameter's derivative times its
 standard deviation, summed in squares) and Monte Carlo (normal samples through the whole calculation).
 Parameters count as independent: parameter files state no covariances, though trail, tilt and wheelbase, say,
-may have been measured together. What is uncertain stands in a bicycle's `standard_deviations`; the rest is exact.
+may have been measured together. What is uncertain is what a bicycle's `standard_deviations` name.
 
 Where two eigenvalues meet, neither of them has a derivative: first order says nothing there, samples do.
 """
