@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 NANOSECONDS = 1_000_000_000
+LEAST_SAMPLES = 10  # that show the noise; before them no change can be told from it
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,9 @@ class StrikeDetector:
         earlier = self._earlier_memory(time_ns)
         self._append(time_ns, lean_rate, swing)
         if self._trigger_ns is None:
-            if len(self._time) > 3 and swing > max(self._settings.least_change, 6.0 * self._noise(), earlier):
+            if len(self._time) > LEAST_SAMPLES and swing > max(
+                self._settings.least_change, 6.0 * self._noise(), earlier
+            ):
                 self._trigger_ns = time_ns
             return None
         if time_ns - self._trigger_ns < self._settings.rise * NANOSECONDS:
@@ -127,7 +130,7 @@ class StrikeDetector:
     def _noise(self, until: int | None = None) -> float:
         """Standard deviation of white noise, from the median absolute difference of neighbours."""
         rates = np.array(self._rate)[:until]
-        if len(rates) < 10:
+        if len(rates) < LEAST_SAMPLES:
             return 0.0
         return float(1.4826 * np.median(np.abs(np.diff(rates)))) / math.sqrt(2.0)
 
