@@ -39,7 +39,7 @@ Resistance = Literal["rolling", "normal_ahead", "rear_brake", "front_brake"]
 RESISTANCES: tuple[Resistance, ...] = get_args(Resistance)
 
 # Bicycles known by their matrices only, and whose parameters stand in for the terms above.
-STAND_INS = {"tms_eq_10_1": "tms_table_8_1"}
+STAND_INS = {"tms_eq_10_1": "tms_unrounded_8_1"}
 
 
 @dataclass(frozen=True)
