@@ -38,6 +38,15 @@ def test_every_direct_requirement_is_pinned():
     assert wanted - {pin.split("==")[0].lower() for pin in pins()} == set()
 
 
+def test_what_has_no_wheels_is_known_to_both_scripts_and_pinned():
+    making = re.search(r"^from_source=\(([^)]+)\)", (ROOT / "requirements/make_lock").read_text(), re.MULTILINE)
+    installing = re.search(r"^FROM_SOURCE=(\S+)", (ROOT / "tms").read_text(), re.MULTILINE)
+    assert making
+    assert installing
+    assert making[1].split() == installing[1].split(",")
+    assert set(making[1].split()) <= {pin.split("==")[0].lower() for pin in pins()}
+
+
 @pytest.fixture
 def mended():
     spec = importlib.util.spec_from_file_location("repair_wheels", ROOT / "requirements/repair_wheels.py")
