@@ -127,6 +127,17 @@ def test_linearity(answer: Callable[..., dict[str, Any]]) -> None:
     assert limit["peak_steer"] == pytest.approx(np.abs(exact.states[:, 1]).max(), rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "speed", "degrees"),
+    [("tms_table_8_1", 3.6, (2.3, 5.1)), ("benchmark", 5.0, (2.3, 5.2)), ("tms_table_7_1", 3.6, (2.1, 4.7))],
+)
+def test_the_lean_angles_told_in_the_conventions(
+    name: str, speed: float, degrees: tuple[float, float]
+) -> None:
+    found = [np.degrees(one.peak_lean) for one in linearity(load_bicycle(name), speed)]
+    assert found == pytest.approx(degrees, abs=0.06)
+
+
 def test_deviation_grows_with_the_square_of_the_motion() -> None:
     small, large = linearity(load_bicycle("tms_table_8_1"), 3.6, (0.0025, 0.01), duration=1.0)
     assert large.peak_lean / small.peak_lean == pytest.approx(2.0, rel=0.01)
