@@ -62,4 +62,4 @@ def refine_start(
     uniform = longest_delay / np.sqrt(12.0)
     degrees = int(np.isfinite(window.measured).sum()) - len(free) - 1
     std = min(float(np.sqrt(2.0 * best.fun / degrees / curvature)), uniform) if curvature > 0.0 else uniform
-    return replace(window, delay=float(best.x), delay_std=float(std))
+    return replace(window, delay=round(float(best.x), 9), delay_std=float(std))  # stamps know nanoseconds
