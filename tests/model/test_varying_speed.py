@@ -98,8 +98,8 @@ def test_small_motions_of_both_are_the_same(name: str, resistance: Resistance) -
     ("resistance", "size"), [("rolling", 0.30), ("rear_brake", 0.57), ("front_brake", 0.27)]
 )
 def test_leaving_the_terms_out_is_not_the_same(resistance: Resistance, size: float) -> None:
-    # The table of docs/conventions.md: with v(t) put into Eq. (3.1) and nothing else, the lean rate is wrong by
-    # so much of the first one within 2 s at C_r = 0.06.
+    # The table of docs/conventions.md: with v(t) put into Eq. (3.1) and nothing else, the lean rate is wrong
+    # by so much of the first one within 2 s at C_r = 0.06.
     bicycle = load_bicycle("tms_eq_10_1")
     times = np.linspace(0.0, 2.0, 401)
     speeds, initial = 3.6 - 0.5886 * times, np.array([0.0, 0.0, 1.0, 0.0])
