@@ -54,8 +54,7 @@ class Bicycle:
         ):
             raise ParameterError(
                 f"bicycle {self.name}: expected a symmetric positive definite mass matrix M, found"
-                f" {self.mass.tolist()}; some combination of lean and steer moves no mass: check masses,"
-                " inertias and centres of mass"
+                f" {self.mass.tolist()}; {_massless(self.mass)}"
             )
         if self.stiffness2[:, 0].any():
             raise ParameterError(
@@ -80,11 +79,12 @@ class Bicycle:
     def numbers(self) -> dict[str, float]:
         """All numbers that define this bicycle by name, SI units and radians, in a fixed order.
 
-        Steer elements stand at the end, and only if there are any.
+        Steer elements stand at the end, and only if there are any. Inertias that aren't known are left out.
         """
         elements = asdict(self.steer_elements) if self.steer_elements.present else {}
         if self.parameters is not None:
-            return {**asdict(self.parameters), **elements}
+            known = {k: value for k, value in asdict(self.parameters).items() if not math.isnan(value)}
+            return {**known, **elements}
         numbers = {name: getattr(self, name) for name in ("wheelbase", "trail", "steer_axis_tilt", "gravity")}
         for letter, matrix in self.canonical.items():
             for row, i in enumerate(("lean", "steer")):
@@ -96,6 +96,18 @@ class Bicycle:
     def canonical(self) -> dict[str, Array]:
         """The four matrices under the letters of Eq. (3.1)."""
         return {"M": self.mass, "C1": self.damping, "K0": self.stiffness0, "K2": self.stiffness2}
+
+
+def _massless(mass: Array) -> str:
+    """Which motion moves no mass, and the parameters that may be why."""
+    if mass[0, 0] <= 0.0:
+        return "leaning moves no mass: check rear_frame_mass, rear_frame_z and rear_frame_inertia_xx"
+    if mass[1, 1] <= 0.0:
+        return "steering moves no mass: check front_frame_mass, front_frame_x and front_frame_inertia_zz"
+    return (
+        "some combination of lean and steer moves no mass: check that rear_frame_z and front_frame_z are"
+        " above the ground, and the inertias"
+    )
 
 
 def assemble(

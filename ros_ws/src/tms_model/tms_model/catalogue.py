@@ -21,7 +21,8 @@ import yaml
 from tms_model.bicycle import Array, Bicycle, assemble
 from tms_model.changes import with_parameters
 from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
-from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 
 FOLDER = Path(__file__).parent / "bicycles"
@@ -110,7 +111,7 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
         values, elements = _numbers(document["parameters"], PARAMETER_NAMES, f"{where}: parameters")
         return assemble(
             name,
-            WhippleParameters(**values),
+            _physical(values, where),
             steer_elements=elements,
             description=text["description"],
             source=text["source"],
@@ -137,6 +138,15 @@ def _bicycle(name: str, document: dict[str, Any], where: str) -> Bicycle:
     )
 
 
+def _physical(values: dict[str, float], where: str) -> WhippleParameters:
+    try:
+        parameters = WhippleParameters(**values)
+        check_physical(parameters)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: {error}") from error
+    return parameters
+
+
 def _child(path: Path, document: dict[str, Any], line: tuple[str, ...]) -> Bicycle:
     """A bicycle that is another one with changes; `line` are the files from the first child to this one."""
     where = str(path)
@@ -154,7 +164,12 @@ def _child(path: Path, document: dict[str, Any], line: tuple[str, ...]) -> Bicyc
         changed = with_parameters(whole, numbers, name=path.stem)
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from error
-    return replace(changed, **{key: str(document[key]) for key in _TEXT})
+    return replace(
+        changed,
+        description=str(document["description"]),
+        source=str(document["source"]),
+        uncertainty=str(document["uncertainty"]),
+    )
 
 
 def _deviations(mapping: Any, where: str) -> dict[str, float]:
@@ -173,10 +188,12 @@ def _keys(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _numbers(mapping: Any, names: tuple[str, ...], where: str) -> tuple[dict[str, float], SteerElements]:
-    """The named numbers, of which none may be missing, and the steer elements that stand with them."""
+    """The named numbers, NaN for what may be unknown and is missing, and the steer elements beside them."""
     keys = _keys(names)
-    check_keys(mapping, keys, where, STEER_ELEMENT_NAMES)
-    values = {key: number(value, f"{where}.{key}") for key, value in mapping.items()}
+    required = tuple(key for key in keys if key not in MAY_BE_UNKNOWN)
+    check_keys(mapping, required, where, tuple(k for k in keys if k in MAY_BE_UNKNOWN) + STEER_ELEMENT_NAMES)
+    values = dict.fromkeys(keys, math.nan)
+    values |= {key: number(value, f"{where}.{key}") for key, value in mapping.items()}
     elements = SteerElements(**{key: value for key, value in values.items() if key in STEER_ELEMENT_NAMES})
     return {
         name: math.radians(values[key]) if key.endswith("_deg") else values[key]

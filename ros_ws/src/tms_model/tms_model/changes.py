@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 
 from tms_model.bicycle import Bicycle, assemble
 from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 
 TILT_IN_DEGREES = "steer_axis_tilt_deg"  # may stand for steer_axis_tilt [rad]
@@ -40,9 +41,11 @@ def with_parameters(bicycle: Bicycle, changes: Mapping[str, float], *, name: str
     if bicycle.parameters is None:
         gravity = changed.get("gravity", bicycle.gravity)
         return replace(bicycle, name=label, gravity=gravity, steer_elements=elements, description=description)
+    parameters = WhippleParameters(**{**asdict(bicycle.parameters), **changed})
+    check_physical(parameters, before=bicycle.parameters)
     return assemble(
         label,
-        WhippleParameters(**{**asdict(bicycle.parameters), **changed}),
+        parameters,
         steer_elements=elements,
         description=description,
         source=bicycle.source,

@@ -10,12 +10,13 @@ benchmark bicycle", Proc. R. Soc. A 463 (2007), doi 10.1098/rspa.2007.1849, to t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.parameters import MAY_BE_UNKNOWN, ParameterError, WhippleParameters
 from tms_model.rolling import (
     DEPENDENT,
     FREE,
@@ -75,12 +76,19 @@ class Motion:
 
 
 def whipple_parameters(bicycle: Bicycle) -> WhippleParameters:
-    """The parameters that the nonlinear equations need. Raises ParameterError if only matrices are given."""
+    """The parameters that the nonlinear equations need. Raises ParameterError if any of them isn't known."""
     if bicycle.parameters is None:
         raise ParameterError(
             f"bicycle {bicycle.name}: expected masses, inertias and geometry for the nonlinear equations,"
             " found only the matrices of the linear ones; take a bicycle with parameters, such as"
             " tms_table_8_1"
+        )
+    unknown = [name for name in MAY_BE_UNKNOWN if math.isnan(getattr(bicycle.parameters, name))]
+    if unknown:
+        raise ParameterError(
+            f"bicycle {bicycle.name}: expected {' and '.join(unknown)} for the nonlinear equations, found"
+            " that they aren't known (the linear ones don't ask for them); set them, or take a bicycle that"
+            " has them, such as benchmark"
         )
     return bicycle.parameters
 
