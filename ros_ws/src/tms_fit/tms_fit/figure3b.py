@@ -113,7 +113,7 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
     if torque is not None and used.steer_torque is not None:
         index = np.searchsorted(torque.time_ns, imu.time_ns[rows], side="right") - 1
         known = np.where(index >= 0, torque.steer_torque[np.maximum(index, 0)], np.nan)
-    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording))
+    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
     shown = make_window(fit.bicycle, fit.settings, imu.time_ns[rows], rates, used.system.speed, known)
     return replace(shown, system=used.system, steer_torque=known, delay=used.delay)
 
@@ -127,7 +127,7 @@ def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
     rows = np.flatnonzero(
         (imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns)
     )
-    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording))
+    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
     return (imu.time_ns[rows] - strike.start_ns) / 1e9, rates[:, [0, 2]]
 
 

@@ -11,10 +11,10 @@ from collections import Counter
 from tms_bag import Record, RecordingError, conversion, topics
 from tms_bag.samples import RunInfo
 from tms_model import load_bicycle
-from tms_model.frames import quaternion
 
 from tms_fit.estimators import check_names
 from tms_fit.messages import estimate_records, filter_state_record
+from tms_fit.offline import orientation_of
 from tms_fit.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
 
@@ -38,7 +38,6 @@ class LiveFit:
         self._held: list[tuple[str, bytes]] = []
         self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
-        self._answered: list[Record] = []  # of a run that has just ended
 
     def take(self, topic: str, data: bytes) -> list[Record]:
         """Use one message of a topic of INPUTS; return the messages to publish."""
@@ -84,9 +83,8 @@ class LiveFit:
         self._online = None
         if name:
             self.bicycle = name
-            orientation = self._info.imu_orientation if self._info else quaternion(0.0, 0.0, 0.0)
             speed = self._info.speed if self._info else float("nan")
-            self._online = OnlineFit(load_bicycle(name), self._settings, orientation, speed)
+            self._online = OnlineFit(load_bicycle(name), self._settings, orientation_of(self._info), speed)
 
     def _add(self, topic: str, record: Record) -> None:
         assert self._online is not None
@@ -108,7 +106,7 @@ class LiveFit:
         if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
             assert self._online is not None
             self._online.finish()
-            self._answered = self._answers()
+            self._pending = self._answers()
             self._restart()
         self._newest_ns = max(self._newest_ns, time_ns)
         assert self._online is not None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Recording, RecordingError
+from tms_bag.samples import RunInfo
 from tms_model import Bicycle, load_bicycle
 from tms_model.bicycle import Array
 from tms_model.frames import quaternion
@@ -55,7 +56,7 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
             f" {np.nanmax(recording.speed.speed):g} m/s;"
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
         )
-    online = OnlineFit(bicycle, settings, orientation_of(recording), nominal, running_filter=False)
+    online = OnlineFit(bicycle, settings, orientation_of(info), nominal, running_filter=False)
     feed(online, recording)
     if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
         raise RecordingError(
@@ -72,9 +73,8 @@ def first_stamp(recording: Recording) -> int:
     return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
 
 
-def orientation_of(recording: Recording) -> Array:
-    """Quaternion of the imu in the rear frame, the identity when the recording does not say."""
-    info = recording.run_info
+def orientation_of(info: RunInfo | None) -> Array:
+    """Quaternion of the imu in the rear frame, the identity when nobody says."""
     if info is not None and np.isfinite(info.imu_orientation).all():
         return info.imu_orientation
     return quaternion(0.0, 0.0, 0.0)
