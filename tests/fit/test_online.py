@@ -1,0 +1,336 @@
+"""A live run, a replayed one and a recorded one give the same answers, however their messages arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tms_bag import BagWriter, Record, conversion, read_recording, topics
+from tms_bag.messages import deserialize
+from tms_bag.samples import RunInfo, SpeedSamples
+from tms_fit.live import INPUTS, LiveFit
+from tms_fit.messages import estimate_records
+from tms_fit.offline import bicycle_of, fit_recording
+from tms_fit.online import PATIENCE, OnlineFit, StrikeFit
+from tms_fit.running_filter import FilterStep
+from tms_fit.settings import FitSettings
+from tms_model import ParameterError, load_bicycle
+from tms_sim.run import SimulatedRun
+
+SECOND = 1_000_000_000
+Event = tuple[int, str, int, Any]  # time of the sample, topic, row, value
+
+
+def events(run: SimulatedRun) -> list[Event]:
+    """All samples of a run."""
+    found: list[Event] = []
+    for row, stamp in enumerate(run.imu.time_ns.tolist()):
+        found.append((stamp, "imu", row, run.imu.angular_velocity[row]))
+    for row, stamp in enumerate(run.speed.time_ns.tolist()):
+        found.append((stamp, "speed", row, float(run.speed.speed[row])))
+    if run.steer_torque is not None:
+        for row, stamp in enumerate(run.steer_torque.time_ns.tolist()):
+            found.append((stamp, "torque", row, float(run.steer_torque.steer_torque[row])))
+    return found
+
+
+def late(run: SimulatedRun, seed: int, longest: float) -> list[Event]:
+    """The samples as they arrive: each topic in order, each sample up to `longest` seconds late."""
+    rng = np.random.default_rng(seed)
+    arrivals = []
+    for topic in ("imu", "speed", "torque"):
+        one = sorted(event for event in events(run) if event[1] == topic)
+        when = np.array([event[0] for event in one]) + rng.uniform(0.0, longest * SECOND, len(one))
+        arrivals += list(zip(np.maximum.accumulate(when).tolist(), one, strict=True))
+    return [event for _, event in sorted(arrivals, key=lambda arrival: arrival[0])]
+
+
+def results_of(run: SimulatedRun, order: Iterable[Event], **settings: Any) -> list[StrikeFit | FilterStep]:
+    online = OnlineFit(load_bicycle(run.info.bicycle), FitSettings(**settings), run.info.imu_orientation, 3.0)
+    results: list[StrikeFit | FilterStep] = []
+    for stamp, topic, _, value in order:
+        if topic == "imu":
+            online.add_imu(stamp, value, run.imu.angular_velocity_variance)
+        elif topic == "speed":
+            online.add_speed(stamp, value)
+        else:
+            online.add_steer_torque(stamp, value)
+        results += online.results()
+    online.finish()
+    return results + online.results()
+
+
+def assert_equal(one: list[StrikeFit | FilterStep], other: list[StrikeFit | FilterStep]) -> None:
+    """Equal to the last bit, in the same order."""
+    assert len(one) == len(other)
+    for left, right in zip(one, other, strict=True):
+        assert type(left) is type(right)
+        if isinstance(left, FilterStep) and isinstance(right, FilterStep):
+            for name, value in vars(left).items():
+                np.testing.assert_array_equal(getattr(right, name), value)
+        elif isinstance(left, StrikeFit) and isinstance(right, StrikeFit):
+            assert left.strike == right.strike
+            assert left.end_ns == right.end_ns
+            for mine, theirs in zip(left.estimates, right.estimates, strict=True):
+                assert (mine.status, mine.message, mine.names) == (
+                    theirs.status,
+                    theirs.message,
+                    theirs.names,
+                )
+                np.testing.assert_array_equal(mine.values, theirs.values)
+                np.testing.assert_array_equal(mine.covariance, theirs.covariance)
+
+
+def in_order(run: SimulatedRun) -> list[Event]:
+    return sorted(events(run), key=lambda event: (event[0], event[1] == "imu"))
+
+
+@pytest.mark.parametrize("scenario", ["tms_strike", "delft_push"])
+def test_order_of_arrival_does_not_matter(make_run: Any, scenario: str) -> None:
+    run = make_run(scenario, strike__time=1.5037, duration=4.5)
+    expected = results_of(run, in_order(run))
+    assert sum(isinstance(result, StrikeFit) for result in expected) == 1
+    assert sum(isinstance(result, FilterStep) for result in expected) == len(run.imu.time_ns)
+    for seed in range(4):
+        assert_equal(results_of(run, late(run, seed, 0.4)), expected)
+
+
+def test_imu_waits_no_longer_than_its_patience(make_run: Any) -> None:
+    # The speed sensor falls silent after 2 s: its last value holds, and every sample is used all the same.
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.5)
+    silent = [event for event in in_order(run) if event[1] == "imu" or event[0] < 3 * SECOND]
+    online = OnlineFit(load_bicycle("tms_eq_10_1"), FitSettings(), run.info.imu_orientation)
+    for stamp, topic, _, value in silent:
+        if topic == "imu":
+            online.add_imu(stamp, value, run.imu.angular_velocity_variance)
+        else:
+            online.add_speed(stamp, value)
+    results = online.results()
+    steps = [result for result in results if isinstance(result, FilterStep)]
+    assert steps[-1].time_ns == run.imu.time_ns[-1] - PATIENCE
+    assert steps[-1].speed == run.speed.speed[run.speed.time_ns < 3 * SECOND][-1]
+    online.finish()
+    results += online.results()
+    assert sum(isinstance(result, StrikeFit) for result in results) == 1
+    assert sum(isinstance(result, FilterStep) for result in results) == len(run.imu.time_ns)
+
+
+def test_without_a_speed_topic_the_nominal_speed_serves(make_run: Any) -> None:
+    run = make_run("tms_strike_ideal", strike__time=1.5, duration=4.0)
+    only_imu = [event for event in in_order(run) if event[1] == "imu"]
+    settings = FitSettings(estimators=("least_squares",))
+    for nominal, fixed in ((3.6, {}), (float("nan"), {"speed": 3.6})):
+        online = OnlineFit(
+            load_bicycle("tms_eq_10_1"), replace(settings, fixed=fixed), run.info.imu_orientation, nominal
+        )
+        for stamp, _, _, value in only_imu:
+            online.add_imu(stamp, value, run.imu.angular_velocity_variance)
+        online.finish()
+        results = online.results()
+        (strike,) = (result for result in results if isinstance(result, StrikeFit))
+        assert strike.estimates[0].parameters["initial_lean_rate"] == pytest.approx(0.5, rel=1e-3)
+        assert sum(isinstance(result, FilterStep) for result in results) == len(only_imu)
+    online = OnlineFit(load_bicycle("tms_eq_10_1"), settings, run.info.imu_orientation)
+    for stamp, _, _, value in only_imu:
+        online.add_imu(stamp, value, run.imu.angular_velocity_variance)
+    online.finish()
+    (strike,) = online.results()  # no filter without a speed, and a reason instead of an estimate
+    assert isinstance(strike, StrikeFit)
+    assert strike.estimates[0].status == "not_observable"
+    assert "--fix speed=V" in strike.estimates[0].message
+
+
+def test_repeated_and_late_samples_change_nothing(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    expected = results_of(run, in_order(run))
+    disturbed: list[Event] = []
+    for index, event in enumerate(in_order(run)):
+        disturbed.append(event)
+        if index % 7 == 3:
+            disturbed.append(event)
+        if index > 20 and index % 50 == 0 and event[1] == "imu":
+            disturbed.append((event[0] - 100_000_000, "imu", 0, np.full(3, 9.9)))
+    assert_equal(results_of(run, disturbed), expected)
+
+
+@pytest.mark.parametrize("held", [{}, {"speed": 3.3}])
+def test_speed_is_the_median_of_the_window_unless_fixed(
+    make_run: Any, fit_run: Any, held: dict[str, float]
+) -> None:
+    run = make_run(
+        "tms_strike", strike__time=1.5, speed_sensor__noise=0.1, speed_sensor__rate=100.0, duration=4.0
+    )
+    (strike,) = fit_run(run, fixed=held, estimators=("least_squares",))
+    used = (run.speed.time_ns >= strike.strike.time_ns) & (run.speed.time_ns <= strike.end_ns)
+    assert strike.window is not None
+    assert strike.window.system.speed == held.get("speed", float(np.median(run.speed.speed[used])))
+
+
+def test_a_run_with_a_gap_stays_exact(make_run: Any, fit_run: Any) -> None:
+    run = make_run("tms_strike_ideal", strike__time=1.5, duration=4.0)
+    time = run.imu.time_ns - run.info.start_ns
+    kept = (time < 2.1 * SECOND) | (time > 2.4 * SECOND)
+    imu = replace(
+        run.imu,
+        time_ns=run.imu.time_ns[kept],
+        angular_velocity=run.imu.angular_velocity[kept],
+        specific_force=run.imu.specific_force[kept],
+    )
+    (whole,), (gappy,) = (fit_run(one, free=("initial_lean_rate",)) for one in (run, replace(run, imu=imu)))
+    assert gappy.estimates[0].sample_count == whole.estimates[0].sample_count - 2 * 31
+    for one, other in zip(whole.estimates, gappy.estimates, strict=True):
+        assert one.values[0] == pytest.approx(other.values[0], rel=1e-4)
+
+
+# Live, from serialised messages.
+
+
+def messages(run: SimulatedRun) -> list[tuple[str, bytes]]:
+    inputs = [(record.topic.removeprefix("/"), record.data) for record in run.records()]
+    return [(topic, data) for topic, data in inputs if topic in INPUTS]
+
+
+def live(run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "") -> list[Record]:
+    fit = LiveFit(FitSettings(), bicycle)
+    answers = [record for topic, data in order for record in fit.take(topic, data)]
+    return answers + fit.finish()
+
+
+@pytest.fixture
+def recorded(make_run: Any, tmp_path: Path) -> Any:
+    """A run, its bag read back and fitted."""
+
+    def make(scenario: str = "tms_strike", **changes: Any) -> tuple[SimulatedRun, Any]:
+        run = make_run(scenario, **changes)
+        with BagWriter(tmp_path / "bag", overwrite=True) as bag:
+            for record in run.records():
+                bag.write(record)
+        recording = read_recording(tmp_path / "bag")
+        return run, fit_recording(recording, bicycle_of(recording, None), FitSettings())
+
+    return make
+
+
+@pytest.mark.parametrize("scenario", ["tms_strike", "delft_push"])
+def test_live_estimates_are_the_offline_ones_to_the_byte(recorded: Any, scenario: str) -> None:
+    run, offline = recorded(scenario, strike__time=1.5037, duration=4.5)
+    answers = live(run, messages(run))
+    estimates = [record for record in answers if record.topic == "/estimate"]
+    expected = [record for strike in offline.strikes for record in estimate_records(strike, run.info.bicycle)]
+    assert len(estimates) == 2
+    assert [(record.time_ns, record.data) for record in estimates] == [(r.time_ns, r.data) for r in expected]
+    states = [record for record in answers if record.topic == "/filter_state"]
+    assert [record.time_ns for record in states] == run.imu.time_ns.tolist()
+
+
+def test_estimate_message_says_what_the_estimate_is(recorded: Any) -> None:
+    run, offline = recorded(strike__time=1.5037, duration=4.5)
+    (strike,) = offline.strikes
+    for record, estimate in zip(estimate_records(strike, "tms_eq_10_1"), strike.estimates, strict=True):
+        message = deserialize(record.data, record.type)
+        assert (message.estimator, message.status, message.bicycle) == (
+            estimate.estimator,
+            "ok",
+            "tms_eq_10_1",
+        )
+        assert tuple(message.names) == estimate.names
+        np.testing.assert_array_equal(message.values, estimate.values)
+        np.testing.assert_array_equal(message.covariance.reshape(3, 3), estimate.covariance)
+        np.testing.assert_array_equal(np.stack([message.ci95_low, message.ci95_high], axis=1), estimate.ci95)
+        assert dict(zip(message.channels, message.vaf.tolist(), strict=True)) == estimate.vaf
+        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        assert stamp == strike.start_ns
+        assert abs(stamp - run.info.start_ns - 1_503_700_000) < 5_000_000
+        first = message.window_start.sec * SECOND + message.window_start.nanosec
+        assert first == strike.strike.time_ns
+        values = {entry.key: float(entry.value) for entry in message.diagnostics}
+        assert values["residual_std"] == estimate.residual_std
+        assert values["speed"] == strike.window.system.speed
+
+
+def test_samples_wait_for_the_run_to_be_announced(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    announced = messages(run)
+    unannounced = [message for message in announced if message[0] != topics.RUN_INFO]
+    late_info = unannounced[:300] + [message for message in announced if message[0] == topics.RUN_INFO]
+    assert live(run, late_info + unannounced[300:]) == live(run, announced)
+    assert live(run, unannounced) == []
+    # When somebody says which bicycle it is, no announcement is waited for for ever.
+    assert live(run, unannounced, bicycle="tms_eq_10_1") == live(run, announced)
+
+
+def test_an_announcement_begins_a_new_run(make_run: Any) -> None:
+    first = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    second = make_run("delft_push", strike__time=1.5037, duration=4.0, start_time_ns=20 * SECOND)
+    fit = LiveFit(FitSettings())
+    answers = [
+        r for topic, data in messages(first) + messages(second) for r in fit.take(topic, data)
+    ] + fit.finish()
+    assert answers == live(first, messages(first)) + live(second, messages(second))
+    assert fit.counts["strikes"] == 2
+
+
+def test_time_that_jumps_back_begins_a_new_run(make_run: Any) -> None:
+    # As a player in a loop makes it: the same stamps again. The strike that was open is fitted with what
+    # there was.
+    run = make_run("tms_strike", strike__time=1.5037, duration=3.0)
+    once = messages(run)
+    samples = [message for message in once if message[0] != topics.RUN_INFO]
+    twice = live(run, once + samples)
+    alone = live(run, once)
+    assert sum(record.topic == "/estimate" for record in twice) == 4
+    estimates = [record.data for record in twice if record.topic == "/estimate"]
+    assert estimates == 2 * [record.data for record in alone if record.topic == "/estimate"]
+    # The first speed comes before the jump is known, so that two samples make do with the nominal speed; from
+    # the strike on, where the filter starts anew, nothing is left of that.
+    since = run.info.start_ns + 2_200_000_000
+    once_more = [
+        record.data for record in twice if record.topic == "/filter_state" and record.time_ns >= since
+    ]
+    assert once_more == 2 * [r.data for r in alone if r.topic == "/filter_state" and r.time_ns >= since]
+
+
+def test_a_mounting_that_nobody_states_is_level(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    (info,) = conversion.run_info_records(replace(run.info, imu_orientation=np.full(4, np.nan)))
+    unstated = [(topics.RUN_INFO, info.data), *[m for m in messages(run) if m[0] != topics.RUN_INFO]]
+    assert live(run, unstated) == live(run, messages(run))
+
+
+def test_unreadable_messages_are_counted_and_left_out(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    fit = LiveFit(FitSettings())
+    answers = []
+    for index, (topic, data) in enumerate(messages(run)):
+        answers += fit.take(topic, data)
+        if index % 100 == 50:
+            answers += fit.take(topics.IMU, data[:20])
+    answers += fit.finish()
+    assert answers == live(run, messages(run))
+    assert fit.counts["unreadable"] == len(range(50, len(messages(run)), 100))
+
+
+def test_unknown_names_are_refused_at_once() -> None:
+    with pytest.raises(ParameterError, match="unknown bicycle 'tandem'"):
+        LiveFit(FitSettings(), "tandem")
+    with pytest.raises(ParameterError, match="estimator: unknown 'guess'"):
+        LiveFit(FitSettings(estimators=("guess",)))
+
+
+def test_speed_samples_may_be_missing_altogether(recorded: Any, tmp_path: Path, make_run: Any) -> None:
+    # A bag without a speed topic, whose run_info says the speed.
+    run, _ = recorded("tms_strike", strike__time=1.5, duration=4.0)
+    without = replace(run, speed=SpeedSamples(np.empty(0, np.int64), np.empty(0)))
+    with BagWriter(tmp_path / "still") as bag:
+        for record in without.records():
+            bag.write(record)
+    recording = read_recording(tmp_path / "still")
+    assert recording.speed is None
+    assert isinstance(recording.run_info, RunInfo)
+    fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+    assert fit.strikes[0].window is not None
+    assert fit.strikes[0].window.system.speed == 3.6
