@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import scipy.linalg
-from tms_model import bicycle_names, eigenvalues, load_bicycle
+from tms_model import bicycle_names, load_bicycle
 from tms_model.exponential import expm
 from tms_model.response import state_matrix
 
@@ -36,11 +36,3 @@ def test_many_at_once_agree_with_scipy(name: str) -> None:
             # Rounding the exponent alone changes the exponential by this share.
             share = 2.2e-16 * (10.0 + np.abs(exponent).sum(axis=0).max())
             np.testing.assert_allclose(exponential, expected, rtol=0.0, atol=share * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("name", bicycle_names())
-def test_eigenvalues_at_many_speeds_are_those_at_each(name: str) -> None:
-    bicycle, speeds = load_bicycle(name), np.linspace(0.0, 12.0, 49)
-    at_once = eigenvalues(bicycle, speeds)
-    assert at_once.shape == (49, 4)
-    np.testing.assert_array_equal(at_once, [eigenvalues(bicycle, float(speed)) for speed in speeds])

@@ -39,8 +39,9 @@ def test_every_direct_requirement_is_pinned():
 
 
 def test_what_has_no_wheels_is_known_to_both_scripts_and_pinned():
-    making = re.search(r"^from_source=\(([^)]+)\)", (ROOT / "requirements/make_lock").read_text(), re.MULTILINE)
-    installing = re.search(r"^FROM_SOURCE=(\S+)", (ROOT / "tms").read_text(), re.MULTILINE)
+    make_lock, tms = ((ROOT / name).read_text() for name in ("requirements/make_lock", "tms"))
+    making = re.search(r"^from_source=\(([^)]+)\)", make_lock, re.MULTILINE)
+    installing = re.search(r"^FROM_SOURCE=(\S+)", tms, re.MULTILINE)
     assert making
     assert installing
     assert making[1].split() == installing[1].split(",")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle, whipple_matrices
 from tms_model.parameters import PARAMETER_NAMES, ParameterError
+from tms_model.quartic import quadratic_eigenvalues
 from tms_model.steer_elements import SteerElements
 
 Complex = NDArray[np.complex128]
@@ -96,12 +97,8 @@ def ensemble_eigenvalues(bicycles: Ensemble, speed: float) -> Complex:
         gravity * bicycles.stiffness0[good] + speed**2 * bicycles.stiffness2[good] + elements.stiffness
     )
     damping = speed * bicycles.damping[good] + elements.damping
-    state = np.zeros((len(mass), 4, 4))
-    state[:, :2, 2:] = np.eye(2)
-    state[:, 2:, :2], state[:, 2:, 2:] = -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
     roots = np.full((len(bicycles), 4), np.nan + 0j)
-    found = np.linalg.eigvals(state).astype(np.complex128)
-    roots[good] = np.take_along_axis(found, np.lexsort((found.imag, found.real), axis=-1), axis=-1)
+    roots[good] = quadratic_eigenvalues(mass, damping, stiffness)
     return roots
 
 
