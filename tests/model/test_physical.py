@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -229,3 +230,14 @@ def test_wrong_children_are_refused_in_words(keys: dict[str, Any], said: str, tm
     with pytest.raises(ParameterError) as error:
         load_bicycle(child(tmp_path, "mine", **keys))
     assert said in str(error.value)
+
+
+def test_set_on_the_command_line(command: Any, refused: Any) -> None:
+    done = command(
+        "tms_model", "stability", "benchmark", "--set", "trail=-0.02", "--set", "steer_spring=-10", "--json"
+    )
+    child = stability(load_bicycle("counterexample_4b_decentering_spring"))
+    assert json.loads(done.out)["weave_speed"] == child.weave_speed
+    said = refused("tms_model", "matrices", "benchmark", "--set", "front_frame_z=0.3")
+    assert "front_frame_z: expected zero or less" in said
+    assert "NAME=VALUE" in refused("tms_model", "matrices", "benchmark", "--set", "trail")

@@ -10,6 +10,7 @@ from pathlib import Path
 from tms_model import response_commands, stability_commands
 from tms_model.bicycle import Bicycle
 from tms_model.catalogue import bicycle_names, load_bicycle
+from tms_model.changes import parse_changes, with_parameters
 from tms_model.command_line import Parser, print_json, run
 from tms_model.description import show
 from tms_model.parameters import ParameterError
@@ -23,7 +24,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.command == "list":
         _list(arguments)
     else:
-        COMMANDS[arguments.command](load_bicycle(arguments.bicycle), arguments)
+        COMMANDS[arguments.command](_bicycle(arguments), arguments)
+
+
+def _bicycle(arguments: argparse.Namespace) -> Bicycle:
+    bicycle = load_bicycle(arguments.bicycle)
+    return with_parameters(bicycle, parse_changes(arguments.set)) if arguments.set else bicycle
 
 
 def _parser() -> Parser:
@@ -45,6 +51,14 @@ def _parser() -> Parser:
     for name, subparser in subparsers.items():
         if name != "list":
             subparser.add_argument("bicycle", help="name in the catalogue, or a .yaml or .txt file")
+            subparser.add_argument(
+                "--set",
+                action="append",
+                default=[],
+                metavar="NAME=VALUE",
+                help="change a parameter or a steer element, SI units: trail=-0.02, steer_axis_tilt_deg=25,"
+                " steer_spring=-10; may be given more than once",
+            )
         if name == "plot":
             subparser.add_argument("-o", "--output", required=True, help="PNG, SVG or PDF to write")
             subparser.add_argument(
@@ -68,8 +82,9 @@ def _list(arguments: argparse.Namespace) -> None:
     if arguments.json:
         print_json({"bicycles": [{"name": b.name, "description": b.description} for b in bicycles]})
         return
+    width = max(len(bicycle.name) for bicycle in bicycles)
     for bicycle in bicycles:
-        print(f"{bicycle.name:16} {bicycle.description}")
+        print(f"{bicycle.name:{width}} {bicycle.description}")
 
 
 def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
