@@ -24,6 +24,7 @@ from tms_model import (
 )
 from tms_model.catalogue import FOLDER
 from tms_model.nonlinear import whipple_parameters
+from tms_model.parameter_files import SYMBOLS
 from tms_model.physical import check_physical, objections
 
 WHEELS_OFF = {
@@ -230,6 +231,18 @@ def test_wrong_children_are_refused_in_words(keys: dict[str, Any], said: str, tm
     with pytest.raises(ParameterError) as error:
         load_bicycle(child(tmp_path, "mine", **keys))
     assert said in str(error.value)
+
+
+def test_foreign_bicycles_are_shown_with_what_no_body_has(command: Any, tmp_path: Path) -> None:
+    # A published one whose I_Byy was measured 2 % above I_Bxx + I_Bzz: read as it is, and said.
+    symbols = {symbol: load_bicycle("benchmark").numbers[name] for symbol, name in SYMBOLS.items()}
+    path = tmp_path / "Browser.txt"
+    path.write_text("".join(f"{k} = {v}\n" for k, v in {**symbols, "IByy": 12.3}.items()))
+    done = json.loads(command("tms_model", "show", path, "--json").out)
+    (line,) = done["objections"]
+    assert line.startswith("rear_frame_inertia_yy: expected no more than")
+    assert line in command("tms_model", "show", path).out
+    assert json.loads(command("tms_model", "show", "benchmark", "--json").out)["objections"] == []
 
 
 def test_set_on_the_command_line(command: Any, refused: Any) -> None:

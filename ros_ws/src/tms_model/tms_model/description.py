@@ -8,6 +8,7 @@ import math
 from tms_model.bicycle import Bicycle
 from tms_model.command_line import print_json
 from tms_model.parameter_files import SYMBOLS
+from tms_model.physical import objections
 
 _LETTERS = {name: symbol for symbol, name in SYMBOLS.items()}
 _UNITS = {  # by the last word that names a quantity
@@ -38,15 +39,22 @@ def unit(name: str) -> str:
 
 
 def show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
-    """Print description, source, uncertainty and numbers of a bicycle."""
+    """Print description, source, uncertainty and numbers of a bicycle, and which of these no body has."""
     text = {key: getattr(bicycle, key) for key in ("description", "source", "uncertainty")}
     deviations = dict(bicycle.standard_deviations)
+    impossible = objections(bicycle.parameters) if bicycle.parameters is not None else ()
     if arguments.json:
-        numbers = {"parameters": bicycle.numbers, "standard_deviations": deviations}
+        numbers = {
+            "parameters": bicycle.numbers,
+            "standard_deviations": deviations,
+            "objections": list(impossible),
+        }
         print_json({"bicycle": bicycle.name, **text, **numbers})
         return
     for key, value in text.items():
         print(f"{key}: {value}")
+    for line in impossible:
+        print(f"no body has this: {line}")
     for name, value in bicycle.numbers.items():
         deviation = f" +/- {deviations[name]:.2g}" if name in deviations else ""
         degrees = f"  ({math.degrees(value):.6g} deg)" if name == "steer_axis_tilt" else ""
