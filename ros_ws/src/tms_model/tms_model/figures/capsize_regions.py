@@ -55,5 +55,5 @@ def capsize_regions_figure(bicycle: Bicycle) -> Figure:
     axes.set(
         xlim=(-half, half), ylim=(-half, half), xlabel="$E_0$ [N$^2$ m$^2$]", ylabel="$E_2 v^2$ [N$^2$ m$^2$]"
     )
-    axes.legend(loc="upper left", framealpha=0.9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.11), ncols=2)
     return figure

@@ -35,5 +35,5 @@ def coefficients_figure(bicycle: Bicycle) -> Figure:
     axes.set_yticks(range(len(LETTERS)), [f"${letter}$" for letter in LETTERS])
     axes.set(xlabel="forward speed [m/s]", xlim=(0.0, HIGHEST_SPEED), ylim=(len(LETTERS) - 0.5, -0.7))
     axes.set_title(f"{bicycle.name}: coefficients of the characteristic polynomial")
-    figure.legend(loc="outside lower center", ncols=3)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
     return figure

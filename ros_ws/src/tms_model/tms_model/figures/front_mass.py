@@ -44,7 +44,7 @@ def front_mass_figure(bicycle: Bicycle) -> Figure:
     )
     axes.set_aspect("equal")
     axes.set_title(f"{bicycle.name}: where the front mass may be")
-    figure.legend(loc="outside lower center", ncols=2)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.19), ncols=2)
     return figure
 
 
