@@ -53,7 +53,7 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
     ):
         raise RecordingError(
             f"{recording.path}: expected a positive forward speed, found at most"
-            f" {np.nanmax(recording.speed.speed):g} m/s;"
+            f" {np.fmax.reduce(recording.speed.speed):g} m/s;"
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
         )
     online = OnlineFit(bicycle, settings, orientation_of(info), nominal, running_filter=False)

@@ -42,6 +42,9 @@ class FitSettings:
         _known((self.steer_torque,), ("auto", "feedback", "input", "ignore"), "steer torque")
         if self.free is not None and not self.free:
             raise ParameterError(f"free: expected at least one of {', '.join(LINEAR)}, found none")
+        twice = [name for name in self.free or () if (self.free or ()).count(name) > 1]
+        if twice:
+            raise ParameterError(f"free: {twice[0]}: found twice, expected each name once")
         both = [name for name in self.fixed if name in (self.free or ())]
         if both:
             raise ParameterError(f"{both[0]}: found both free and fixed; leave it out of one of the two")
