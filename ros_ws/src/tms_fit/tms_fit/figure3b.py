@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from tms_bag import RecordingError
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
@@ -22,6 +23,8 @@ from tms_fit.prediction import predictor
 from tms_fit.window import Window, make_window
 
 BEFORE, AFTER = 0.5, 4.0  # [s] shown around the strike
+# Room for the legend; loc="outside ..." would need a newer matplotlib than Ubuntu 24.04's.
+LEGEND_BELOW = (0.0, 0.06, 1.0, 0.94)
 MEASURED, PREDICTED = "#555555", "#0072B2"
 
 
@@ -42,7 +45,7 @@ def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
 
 
 def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate, number: int) -> Figure:
-    figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+    figure = Figure(figsize=(7.0, 5.2), layout=ConstrainedLayoutEngine(rect=LEGEND_BELOW))
     upper, lower = figure.subplots(2, 1, sharex=True)
     shown = _shown_window(fit, number, used)
     seconds = shown.time + shown.delay
@@ -75,7 +78,7 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
         if not np.isfinite(shown.measured[:, channel]).any():
             _say_absent(axes)
     handles, labels = upper.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles, labels, loc="lower center", ncol=4, frameon=False)
     lower.set(
         xlabel="time since the start of the free response [s]", xlim=(-BEFORE, min(float(seconds[-1]), AFTER))
     )

@@ -9,18 +9,21 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Wedge
 
 from tms_model.bicycle import Array, Bicycle
 from tms_model.figures.labels import Label, place_labels
 from tms_model.parameters import WhippleParameters
 
+# Room for the legend; loc="outside ..." would need a newer matplotlib than Ubuntu 24.04's.
+LEGEND_BELOW = (0.0, 0.11, 1.0, 0.89)
 GREY, REAR, FRONT = "0.45", "#0072B2", "#D55E00"
 
 
 def drawing_figure(bicycle: Bicycle) -> Figure:
     """The bicycle to scale, alone."""
-    figure = Figure(figsize=(7.0, 5.4), layout="constrained")
+    figure = Figure(figsize=(7.0, 5.4), layout=ConstrainedLayoutEngine(rect=LEGEND_BELOW))
     figure.suptitle(bicycle.name, fontweight="bold")
     draw_bicycle(figure.add_subplot(), bicycle)
     return figure
@@ -56,11 +59,9 @@ def draw_bicycle(axes: Axes, bicycle: Bicycle, handles: Sequence[Artist] = ()) -
     else:
         text = "Given by its matrices: wheels, masses and\ntheir places are not given and not drawn."
         axes.text(0.5, 0.06, text, transform=axes.transAxes, ha="center", va="bottom")
-    figure = axes.get_figure(root=True)
-    if figure is not None:
-        own, _ = axes.get_legend_handles_labels()
-        columns = 6 if handles else 3
-        figure.legend(handles=[*handles, *own], loc="outside lower center", ncols=columns, frameon=False)
+    own, _ = axes.get_legend_handles_labels()
+    columns = 6 if handles else 3
+    axes.figure.legend(handles=[*handles, *own], loc="lower center", ncols=columns, frameon=False)
     if p:
         place_labels(
             axes, [_label(p, body) for body in bodies], [*lines, axis, np.array([[low, 0.0], [high, 0.0]])]

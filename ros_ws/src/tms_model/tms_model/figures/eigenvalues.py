@@ -8,11 +8,12 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.figures.drawing import draw_bicycle
+from tms_model.figures.drawing import LEGEND_BELOW, draw_bicycle
 from tms_model.modes import CAPSIZE, CASTERING, MERGED, WEAVE, ModeCourse, follow_modes
 from tms_model.stability import Stability, double_roots, stability
 
@@ -28,7 +29,7 @@ REAL = 1e-9  # [1/s] imaginary part that counts as none
 
 def eigenvalue_figure(bicycle: Bicycle) -> Figure:
     """Real and imaginary parts of the eigenvalues from standstill on, and the bicycle to scale."""
-    figure = Figure(figsize=(12.0, 5.4), layout="constrained")
+    figure = Figure(figsize=(12.0, 5.4), layout=ConstrainedLayoutEngine(rect=LEGEND_BELOW))
     left, right = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
     answer = stability(bicycle)
     highest = _highest_speed(answer)
