@@ -1,0 +1,260 @@
+"""The house stands as it was drawn: who may import whom, what no module may do, what must agree."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ROOT / "ros_ws" / "src"
+
+# package -> ours that it may import. An estimator that can reach the simulator can reach the truth.
+MAY_IMPORT = {
+    "tms_model": set(),
+    "tms_bag": {"tms_model"},
+    "tms_sim": {"tms_bag", "tms_model"},
+    "tms_fit": {"tms_bag", "tms_model"},
+    "tms_study": {"tms_bag", "tms_fit", "tms_model", "tms_sim"},
+}
+PACKAGES = sorted(MAY_IMPORT)
+MODULES = sorted(path for package in PACKAGES for path in (SOURCES / package / package).rglob("*.py"))
+
+# What a name that is imported is called by rosdep, where the two differ. mcap, zstandard and lz4 have no key
+# of their own.
+ROSDEP_KEYS = {
+    "filterpy": "python3-filterpy-pip",
+    "lz4": "mcap-ros2-support",
+    "matplotlib": "python3-matplotlib",
+    "mcap": "mcap-ros2-support",
+    "numpy": "python3-numpy",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
+    "yaml": "python3-yaml",
+    "zstandard": "mcap-ros2-support",
+}
+# What a name that is imported is called by pip, where the two differ.
+PIP_NAMES = {"yaml": "PyYAML"}
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(SOURCES))
+
+
+def package_of(path: Path) -> str:
+    return path.relative_to(SOURCES).parts[0]
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(SOURCES / package_of(path)).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Full names of all modules that a file imports, at its top or inside a function."""
+    own = path.relative_to(SOURCES / package_of(path)).with_suffix("").parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            yield ".".join((*own[: len(own) - node.level], *(node.module or "").split(".")))
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or ""
+
+
+def is_ros(module: str) -> bool:
+    """rclpy and its relatives, or a package of messages."""
+    top = module.partition(".")[0]
+    return top.startswith(("rclpy", "rosidl")) or top.endswith(("_msgs", "_interfaces"))
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert {package_of(path) for path in MODULES} == set(PACKAGES)
+    assert len(MODULES) > 40
+    folders = {path.parent.name for path in SOURCES.glob("*/package.xml")}
+    assert folders == {*PACKAGES, "tms_msgs"}  # a new package: say above what it may import
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_imports_point_one_way(path: Path) -> None:
+    ours = {module.partition(".")[0] for module in imported(path)} & set(PACKAGES)
+    assert ours - {package_of(path)} <= MAY_IMPORT[package_of(path)]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_only_nodes_know_ros(path: Path) -> None:
+    if "nodes" not in path.parts:
+        assert [module for module in imported(path) if is_ros(module) or ".nodes" in module] == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_everything_but_the_nodes_works_without_ros(package: str) -> None:
+    # With rclpy and all messages out of reach, every module outside nodes/ can be imported.
+    names = [
+        module_of(path)
+        for path in (SOURCES / package / package).rglob("*.py")
+        if "nodes" not in path.parts and path.name != "__main__.py"
+    ]
+    program = (
+        "import sys, importlib\n"
+        "class Wall:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        top = name.partition('.')[0]\n"
+        "        if top.startswith('rclpy') or top.endswith(('_msgs', '_interfaces')):\n"
+        "            raise ImportError(f'{name} is out of reach')\n"
+        "sys.meta_path.insert(0, Wall())\n"
+        f"for name in {names!r}: importlib.import_module(name)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_no_module_is_a_drawer(path: Path) -> None:
+    # A name says what a module is about.
+    for part in path.relative_to(SOURCES).with_suffix("").parts:
+        assert not re.fullmatch(r"(utils?|common|core|helpers?|misc|tools?)", part)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_nothing_that_is_read_can_run(path: Path) -> None:
+    assert not {"pickle", "cPickle", "marshal", "shelve", "dill"} & {
+        m.partition(".")[0] for m in imported(path)
+    }
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        called = ast.unparse(node.func)
+        assert called not in ("eval", "exec", "compile", "os.system", "os.popen", "__import__"), called
+        assert called not in ("yaml.unsafe_load", "yaml.full_load", "yaml.load_all"), called
+        if called == "yaml.load":
+            (loader,) = (ast.unparse(keyword.value) for keyword in node.keywords if keyword.arg == "Loader")
+            found = getattr(importlib.import_module(module_of(path)), loader)
+            assert issubclass(found, yaml.constructor.SafeConstructor)
+            assert not issubclass(found, yaml.constructor.FullConstructor)
+        if called in ("np.load", "numpy.load"):
+            assert not any(keyword.arg == "allow_pickle" for keyword in node.keywords)
+        shell = [keyword.value for keyword in node.keywords if keyword.arg == "shell"]
+        assert all(isinstance(value, ast.Constant) and value.value is False for value in shell), called
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_randomness_is_an_argument(path: Path) -> None:
+    # Same seed, same bytes: nobody draws from a generator of the whole process, or seeds one behind one's
+    # back.
+    assert "random" not in set(imported(path))
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"np\.random\.(?!Generator|default_rng\([^)])", text)
+
+
+def tree(package: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCES / package / "package.xml").getroot()
+
+
+def setup_arguments(package: str) -> dict[str, ast.expr]:
+    """Keyword arguments of the call of setup() in a package's setup.py."""
+    module = ast.parse((SOURCES / package / "setup.py").read_text())
+    (call,) = (
+        node for node in ast.walk(module) if isinstance(node, ast.Call) and ast.unparse(node.func) == "setup"
+    )
+    return {keyword.arg: keyword.value for keyword in call.keywords if keyword.arg}
+
+
+def version_in(pattern: str, path: Path) -> str:
+    found = re.search(pattern, path.read_text(encoding="utf-8"), re.MULTILINE)
+    assert found, f"no version in {path}"
+    return found.group(1)
+
+
+def test_versions_agree() -> None:
+    versions = {
+        "CHANGELOG.md": version_in(r"^## (\d+\.\d+\.\d+)", ROOT / "CHANGELOG.md"),
+        "pyproject.toml": version_in(r'^version = "(.+)"', ROOT / "pyproject.toml"),
+    }
+    for folder in sorted(path.parent.name for path in SOURCES.glob("*/package.xml")):
+        versions[f"{folder}/package.xml"] = tree(folder).findtext("version") or ""
+    for package in PACKAGES:
+        versions[f"{package}/setup.py"] = ast.literal_eval(setup_arguments(package)["version"])
+        versions[f"{package}/__init__.py"] = version_in(
+            r'^__version__ = "(.+)"', SOURCES / package / package / "__init__.py"
+        )
+    assert len(set(versions.values())) == 1, json.dumps(versions, indent=1)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_names_what_is_imported(package: str) -> None:
+    # What rosdep installs is what runs: nothing that is imported may be missing there.
+    tops = {
+        module.partition(".")[0]
+        for path in MODULES
+        if package_of(path) == package
+        for module in imported(path)
+    }
+    foreign = {top for top in tops if top not in sys.stdlib_module_names and top != package}
+    depends = {element.text for element in tree(package) if element.tag in ("depend", "exec_depend")}
+    assert {ROSDEP_KEYS.get(top, top) for top in foreign} <= depends
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_names_nothing_that_nobody_needs(package: str) -> None:
+    # Packages of messages stand there for their names in topics and types, too, which come from tms_bag.
+    texts = "\n".join(
+        p.read_text() for p in MODULES if package_of(p) in {package, *MAY_IMPORT[package] - {"tms_model"}}
+    )
+    for element in tree(package):
+        if element.tag in ("depend", "exec_depend"):
+            names = [top for top, key in ROSDEP_KEYS.items() if key == element.text] or [str(element.text)]
+            assert any(re.search(rf"\b{name}\b", texts) for name in names), element.text
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_setup_py_names_what_pip_must_bring(package: str) -> None:
+    required = {
+        re.split(r"[<>=!~ \[]", item)[0].lower()
+        for item in ast.literal_eval(setup_arguments(package)["install_requires"])
+    }
+    tops = {
+        module.partition(".")[0]
+        for path in MODULES
+        if package_of(path) == package
+        for module in imported(path)
+    }
+    pip = {PIP_NAMES.get(top, top).lower() for top in tops if top in ROSDEP_KEYS}
+    assert pip <= required
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_data_files_are_installed_with_the_package(package: str) -> None:
+    # A bicycle, a sensor, a scenario or a mapping is one YAML file; it must not stay behind.
+    folder = SOURCES / package / package
+    there = {p for p in folder.rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")}
+    module = ast.parse((SOURCES / package / "setup.py").read_text())
+    patterns = [
+        node.value
+        for node in ast.walk(module)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and ("*" in node.value or "." in node.value)
+    ]
+    matched = {p for pattern in patterns if not pattern.startswith("/") for p in folder.glob(pattern)}
+    assert there <= matched
+    assert folder / "py.typed" in there
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_is_complete(package: str) -> None:
+    root = tree(package)
+    assert root.findtext("name") == package
+    assert root.findtext("license") == "Apache-2.0"
+    assert len(root.findtext("description") or "") > 20
+    assert root.findtext("export/build_type") == "ament_python"
+    assert (SOURCES / package / "resource" / package).is_file()
