@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tms_model.bicycle import Array
 
@@ -33,9 +34,9 @@ def place_labels(axes: Axes, labels: list[Label], lines: list[Array]) -> None:
 
     lines: what else should stay visible, (n, 2) in data units. The axes' limits and aspect must be final.
     """
-    figure = axes.get_figure(root=True)
-    if figure is None:
-        raise ValueError("the axes belong to no figure")
+    figure = axes.figure
+    if not isinstance(figure, Figure):
+        raise ValueError("expected axes of a whole figure")
     figure.draw_without_rendering()  # the layout decides the scale
     scale = 72.0 / figure.dpi
 
