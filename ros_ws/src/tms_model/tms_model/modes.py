@@ -17,7 +17,7 @@ Reference: Kooijman et al. 2011, supplement (SOM), chapter 4, doi 10.1126/scienc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, permutations
+from itertools import combinations, pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,11 +116,17 @@ class _Stretch:
         return self._known[speed]
 
     def _by_kind(self, roots: Complex) -> Complex:
-        """The real ones are those with the smallest imaginary parts, for rounding can part a double root."""
-        by_imaginary = roots[np.argsort(np.abs(roots.imag), kind="stable")]
-        real = np.sort_complex(by_imaginary[: self.real_count])
-        pair = by_imaginary[self.real_count :]
-        return np.concatenate([real, pair[np.argsort(pair.imag)]])
+        """The real ones ascending, then the pair: the two nearest to being each other's conjugates.
+
+        Where rounding parts a double root into two real ones, those are still nearer to each other than to
+        the rest.
+        """
+        if self.real_count == 4:
+            return np.sort_complex(roots.real.astype(np.complex128))
+        pair = min(combinations(range(4), 2), key=lambda two: abs(roots[two[0]] - roots[two[1]].conjugate()))
+        rest = [k for k in range(4) if k not in pair]
+        real = np.sort_complex(roots[rest])
+        return np.concatenate([real, sorted(roots[list(pair)], key=lambda root: (root.imag, root.real))])
 
     def _continued(self, low: float, known: Complex, high: float, roots: Complex) -> Complex:
         """`roots` at `high` in the order of `known` at `low`, by halving until no confusion is possible."""
