@@ -209,6 +209,8 @@ def test_parameters_are_checked_at_run_time(nodes: Any, participant: Any) -> Non
         ("tms_sim", "simulator", "strike.time:=9.0", "inside the record"),
         ("tms_sim", "simulator", "imu.position:=[1.0]", "three numbers"),
         ("tms_sim", "simulator", "clock:=moon", "clock"),
+        ("tms_sim", "simulator", "nonsense:=1.0", "unknown parameter nonsense"),
+        ("tms_fit", "estimator", "nonsense:=1.0", "unknown parameter nonsense"),
         ("tms_fit", "estimator", "bicycle:=nonsense", "unknown bicycle"),
         ("tms_fit", "estimator", "free:=[lean]", "unknown 'lean'"),
         ("tms_fit", "estimator", "window:=0.01", "window"),

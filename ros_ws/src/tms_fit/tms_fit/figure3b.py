@@ -50,7 +50,7 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
     shown = _shown_window(fit, number, used)
     seconds = shown.time + shown.delay
     model = predictor(shown)
-    fixed = {name: value for name, value in fit.settings.fixed.items() if name != "speed"}
+    fixed = fit.settings.fixed_linear
     predicted = model.predict({**fixed, **estimate.parameters})
     columns = model.select(estimate.names)
     # Parameter uncertainty carried to the curves; Student's t as in the interval of the estimate.

@@ -11,11 +11,12 @@ from tms_model.bicycle import Array
 from tms_fit.estimate import Estimate
 from tms_fit.prediction import predictor
 from tms_fit.settings import CHANNELS
-from tms_fit.window import Window
+from tms_fit.window import Window, at_speed
 
 LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns
 LEAST_SPAN = 0.25  # [s]
 COLOURED = 0.3  # lag-one autocorrelation of the residuals above which they are called coloured
+SPEED_STEP = 1e-4  # share of the speed, of the numerical derivatives with respect to it
 DELAY_STEP = 1e-5  # [s], of the numerical derivatives with respect to the start
 
 
@@ -40,8 +41,8 @@ def answer(
 ) -> Estimate:
     """The estimate of `free` by one way to solve for them; `method` says in words which.
 
-    The noise variance is that of the residuals, equal for both channels. The covariance holds the
-    uncertainty of the strike's instant between two samples, where the window states one.
+    The noise variance is that of the residuals, equal for both channels. The covariance holds the uncertainty
+    of the speed, and of the strike's instant between two samples, where the window states them.
     """
     reason = too_short(window, free)
     if reason:
@@ -61,6 +62,9 @@ def answer(
     if window.delay_std:
         shift = _shift(window, solve)
         covariance = covariance + np.outer(shift, shift) * window.delay_std**2
+    if window.speed_std:
+        shift = _shift_by_speed(window, solve)
+        covariance = covariance + np.outer(shift, shift) * window.speed_std**2
     autocorrelation = lag_one_autocorrelation(residual)
     used = " and ".join(_measured_channels(window))
     return Estimate(
@@ -126,6 +130,13 @@ def _shift(window: Window, solve: Solver) -> Array:
     low, high = max(window.delay - DELAY_STEP, 0.0), window.delay + DELAY_STEP
     ends = [solve(replace(window, delay=delay)).values for delay in (low, high)]
     return (ends[1] - ends[0]) / (high - low)
+
+
+def _shift_by_speed(window: Window, solve: Solver) -> Array:
+    """Derivative (p,) of the solution with respect to the speed [1/(m/s)]."""
+    step = SPEED_STEP * window.system.speed
+    ends = [solve(at_speed(window, window.system.speed + part)).values for part in (-step, step)]
+    return (ends[1] - ends[0]) / (2.0 * step)
 
 
 def _measured_channels(window: Window) -> list[str]:

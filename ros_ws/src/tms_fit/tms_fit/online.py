@@ -6,6 +6,7 @@ sample is used once speed and steer torque are known up to its time, or are late
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
 from tms_fit.window import Window, make_window
 
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
+MEDIAN = 1.2533  # standard error of a median per that of a mean, sqrt(pi / 2)
 MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
 LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
 LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
@@ -252,7 +254,7 @@ class OnlineFit:
             self._results.append(StrikeFit(strike, samples[-1].time_ns, None, estimates))
             return
         free = self._free(window)
-        fixed = {name: value for name, value in self._settings.fixed.items() if name != "speed"}
+        fixed = self._settings.fixed_linear
         if strike.sharp:
             window = refine_start(window, free, fixed, (strike.time_ns - strike.before_ns) / 1e9)
         estimates = tuple(ESTIMATORS[name](window, free, fixed) for name in self._settings.estimators)
@@ -266,6 +268,7 @@ class OnlineFit:
             np.array([one.angular_velocity for one in samples]),
             self._window_speed(samples),
             self._window_torque(samples),
+            self._speed_std(samples),
         )
 
     def _window_speed(self, samples: list[_Sample]) -> float:
@@ -277,6 +280,17 @@ class OnlineFit:
                 "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"
             )
         return self._nominal_speed
+
+    def _speed_std(self, samples: list[_Sample]) -> float:
+        """Standard error [m/s] of the window's speed, the median of what was measured since the strike."""
+        if "speed" in self._settings.fixed or not samples:
+            return 0.0
+        first, last = (bisect_right(self._speed.time, one.time_ns) for one in (samples[0], samples[-1]))
+        measured = np.array(self._speed.value[max(first - 1, 0) : last])
+        measured = measured[np.isfinite(measured)]
+        return (
+            MEDIAN * float(np.std(measured, ddof=1)) / math.sqrt(len(measured)) if len(measured) > 1 else 0.0
+        )
 
     def _window_torque(self, samples: list[_Sample]) -> Array | None:
         torque = np.array([one.steer_torque for one in samples])

@@ -8,6 +8,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.linear import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
+from tms_fit.strikes import StrikeSettings
 
 
 def to_json(fit: RecordingFit) -> dict[str, Any]:
@@ -71,15 +72,13 @@ def to_table(fit: RecordingFit) -> str:
         when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
         speed = f"{strike.window.system.speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
-            lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}")
-    coloured = sum(
-        one.residual_autocorrelation > COLOURED for strike in fit.strikes for one in strike.estimates
-    )
-    if coloured:
-        lines.append(
-            f"{coloured} of these estimates leave residuals that are not white: their intervals are too"
-            " narrow (see docs/conventions.md)"
-        )
+            mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
+            lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
+    if any(line.endswith(" *") for line in lines):
+        lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
+    if not fit.strikes:
+        least = StrikeSettings().least_change
+        lines.append(f"no strike: no sudden change of the lean rate of {least:g} rad/s or more within 0.3 s")
     return "\n".join(lines)
 
 

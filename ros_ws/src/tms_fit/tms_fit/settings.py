@@ -15,6 +15,7 @@ INITIAL = tuple(
 BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
 CHANNELS = ("lean_rate", "yaw_rate")
 LINEAR = (*INITIAL, *BIASES)
+FIXED_ONLY = ("speed", "lean_rate_gain")  # [m/s], [N m s/rad]; never free
 DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
 
 
@@ -36,9 +37,14 @@ class FitSettings:
     steer_torque: str = "auto"  # how a known steer torque enters: auto, feedback, input, ignore
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
+    @property
+    def fixed_linear(self) -> dict[str, float]:
+        """Those of the fixed parameters that the response is linear in."""
+        return {name: value for name, value in self.fixed.items() if name in LINEAR}
+
     def __post_init__(self) -> None:
         _known(self.free or (), LINEAR, "free")
-        _known(self.fixed, (*LINEAR, "speed"), "fix")
+        _known(self.fixed, (*LINEAR, *FIXED_ONLY), "fix")
         _known((self.steer_torque,), ("auto", "feedback", "input", "ignore"), "steer torque")
         if self.free is not None and not self.free:
             raise ParameterError(f"free: expected at least one of {', '.join(LINEAR)}, found none")

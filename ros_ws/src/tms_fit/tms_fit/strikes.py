@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 NANOSECONDS = 1_000_000_000
+LONGEST_GAP = 0.15  # [s] without samples; across a longer one no change is known to be sudden
 LEAST_SAMPLES = 10  # that show the noise; before them no change can be told from it
 
 
@@ -71,21 +72,20 @@ class StrikeDetector:
         """Take one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
         if not math.isfinite(lean_rate):
             return None
-        if self._time and time_ns - self._time[-1] > self._settings.rise * NANOSECONDS:
-            self._forget()  # across a gap no change is known to be sudden
+        strike = None
+        if self._time and time_ns - self._time[-1] > LONGEST_GAP * NANOSECONDS:
+            strike = self._judge()  # on what there is; across the gap no change is known to be sudden
+            self._forget()
         swing = self._swing(time_ns, lean_rate)
         earlier = self._earlier_memory(time_ns)
         self._append(time_ns, lean_rate, swing)
         if self._trigger_ns is None:
-            if len(self._time) > LEAST_SAMPLES and swing > max(
-                self._settings.least_change, 6.0 * self._noise(), earlier
-            ):
+            least = max(self._settings.least_change, 6.0 * self._noise(), earlier)
+            if len(self._time) > LEAST_SAMPLES and swing > least:
                 self._trigger_ns = time_ns
-            return None
-        if time_ns - self._trigger_ns < self._settings.rise * NANOSECONDS:
-            return None
-        trigger_ns, self._trigger_ns = self._trigger_ns, None
-        return self._judge(trigger_ns)
+        elif time_ns - self._trigger_ns >= self._settings.rise * NANOSECONDS:
+            strike = self._judge()
+        return strike
 
     def withdraw(self) -> None:
         """Take back the last strike: who knows the bicycle found it to be its free response."""
@@ -134,8 +134,11 @@ class StrikeDetector:
             return 0.0
         return float(1.4826 * np.median(np.abs(np.diff(rates)))) / math.sqrt(2.0)
 
-    def _judge(self, trigger_ns: int) -> Strike | None:
-        """The strike around a trigger, or None when the change was too round or too soon."""
+    def _judge(self) -> Strike | None:
+        """The strike around the trigger, if there is one; None when the change was too round or too soon."""
+        if self._trigger_ns is None:
+            return None
+        trigger_ns, self._trigger_ns = self._trigger_ns, None
         time, rate = np.array(self._time), np.array(self._rate)
         trigger = int(np.searchsorted(time, trigger_ns))
         first = int(np.searchsorted(time, trigger_ns - self._settings.rise * NANOSECONDS))

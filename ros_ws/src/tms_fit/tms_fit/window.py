@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Window:
     torque_r2: float  # share of the known torque that is proportional to the lean rate, NaN: no torque known
     delay: float = 0.0  # [s]
     delay_std: float = 0.0  # [s]
+    bicycle: Bicycle | None = None  # whose `system` this is, for other speeds
+    speed_std: float = 0.0  # [m/s] standard error of the system's speed
 
     @property
     def start_ns(self) -> int:
@@ -54,11 +56,12 @@ def make_window(
     angular_velocity: Array,
     speed: float,
     steer_torque: Array | None,
+    speed_std: float = 0.0,
 ) -> Window:
     """Window from the samples of one free response.
 
     time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; speed [m/s]; steer_torque
-    (n,) [N m] or None.
+    (n,) [N m] or None; speed_std [m/s] is the speed's standard error.
     """
     time = (time_ns - time_ns[0]) / 1e9
     lean_rate = angular_velocity[:, 0]
@@ -72,8 +75,27 @@ def make_window(
             gain = 0.0
     else:
         steer_torque = None
-    system = linear_system(bicycle, speed, gain)
-    return Window(int(time_ns[0]), time, lean_rate, yaw_rate, system, steer_torque, gain, r2)
+    if "lean_rate_gain" in settings.fixed:
+        gain, steer_torque = settings.fixed["lean_rate_gain"], None
+    return Window(
+        first_ns=int(time_ns[0]),
+        time=time,
+        lean_rate=lean_rate,
+        yaw_rate=yaw_rate,
+        system=linear_system(bicycle, speed, gain),
+        steer_torque=steer_torque,
+        lean_rate_gain=gain,
+        torque_r2=r2,
+        bicycle=bicycle,
+        speed_std=speed_std,
+    )
+
+
+def at_speed(window: Window, speed: float) -> Window:
+    """The same window compared with the bicycle at another speed [m/s]."""
+    if window.bicycle is None:
+        return window
+    return replace(window, system=linear_system(window.bicycle, speed, window.lean_rate_gain))
 
 
 def _integral(time: Array, values: Array) -> Array:

@@ -36,6 +36,20 @@ def declare(
         raise ParameterError(f"parameter {name}: {expected}; {error}") from error
 
 
+def refuse_unknown_parameters(node: Node) -> None:
+    """Raise ParameterError if a parameter was given that the node does not have: a typo, most likely."""
+    # rclpy keeps what was given to itself; undeclared names are otherwise passed over without a word.
+    given = node._parameter_overrides
+    unknown = [
+        name for name in given if not node.has_parameter(name) and not name.startswith("qos_overrides.")
+    ]
+    if unknown:
+        own = sorted(
+            name for name in node.get_parameters_by_prefix("") if name != "start_type_description_service"
+        )
+        raise ParameterError(f"unknown parameter {', '.join(unknown)}: expected of {', '.join(own)}")
+
+
 def declare_names(node: Node, name: str, description: str) -> list[str]:
     """Declare a list of topic names, return their full names. ParameterError if one can't be a name."""
     # An empty list has no type for ROS; a list of one empty text stands for it.

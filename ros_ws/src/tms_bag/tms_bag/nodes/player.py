@@ -17,7 +17,7 @@ from tms_bag.nodes import publishing
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import clock_message
 from tms_bag.nodes.pacing import Pacing
-from tms_bag.nodes.parameters import declare, declare_names
+from tms_bag.nodes.parameters import declare, declare_names, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 from tms_bag.reader import BagReader
 
@@ -40,6 +40,7 @@ class Player(Node):
             self, "wait_for_subscriptions", 0, "subscriptions to wait for, all topics together", 0, 1000
         )
         self._patience = declare(self, "wait_timeout", 30.0, "longest wait for them [s]", 0.0, 1e6)
+        refuse_unknown_parameters(self)
         if not path:
             raise RecordingError("parameter bag: expected the path of a bag, found nothing; say -p bag:=PATH")
         self._bag = BagReader(path)

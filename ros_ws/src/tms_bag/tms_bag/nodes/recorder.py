@@ -15,7 +15,7 @@ from tms_bag.channel import installed_channel
 from tms_bag.errors import RecordingError
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import recorded_qos
-from tms_bag.nodes.parameters import declare, declare_names
+from tms_bag.nodes.parameters import declare, declare_names, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 from tms_bag.nodes.raw_subscription import subscribe_raw
 from tms_bag.record import Record
@@ -39,6 +39,7 @@ class Recorder(Node):
         self._lost: dict[str, int] = {}
         self._told: dict[str, int] = {}  # losses that the user knows already
         self._passed_over: set[str] = set()
+        refuse_unknown_parameters(self)
         self._bag = BagWriter(Path(output or f"bag_{datetime.now():%Y-%m-%d_%H-%M-%S}"), live=True)
         self._bag.__enter__()
         self._look_for_topics()

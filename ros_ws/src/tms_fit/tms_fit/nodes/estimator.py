@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from tms_bag import topics
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import message_class
-from tms_bag.nodes.parameters import declare
+from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
 from tms_fit.live import INPUTS, LiveFit
@@ -58,6 +58,7 @@ class Estimator(Node):
         self._idle = declare(
             self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0
         )
+        refuse_unknown_parameters(self)
         self._fit = LiveFit(settings, bicycle)
         self._last = time.monotonic()
         # Estimates are few and must not be missed by who comes late; filter states are a stream like any

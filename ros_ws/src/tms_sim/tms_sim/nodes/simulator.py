@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from tms_bag import RecordingError, topics
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import message_class, offered_profile
-from tms_bag.nodes.parameters import declare
+from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 from tms_model import ParameterError
 
@@ -49,6 +49,7 @@ class Simulator(Node):
             self, "wait_for_subscribers", 0, "subscribers of each topic to wait for", 0, 100
         )
         self._patience = declare(self, "wait_timeout", 30.0, "longest wait for subscribers [s]", 0.0, 3600.0)
+        refuse_unknown_parameters(self)
         self._clock_publisher = None
         if clock == "simulated":
             profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

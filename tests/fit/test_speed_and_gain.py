@@ -1,0 +1,82 @@
+"""The speed's uncertainty is part of the interval; a feedback that was not recorded can be given by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tms_bag import Recording
+from tms_fit.estimators import ESTIMATORS
+from tms_fit.offline import fit_recording
+from tms_fit.settings import FitSettings
+from tms_fit.window import at_speed
+from tms_model import ParameterError, load_bicycle
+from tms_sim.run import SimulatedRun, simulate
+from tms_sim.scenario import load_scenario
+
+
+def run_of(name: str, seed: int, **changes: object) -> SimulatedRun:
+    scenario = load_scenario(name, {key.replace("__", "."): value for key, value in changes.items()})
+    return simulate(scenario, np.random.default_rng(seed))
+
+
+def recording(run: SimulatedRun) -> Recording:
+    return Recording(
+        Path("run"),
+        run.imu,
+        run.speed,
+        run.steer_torque,
+        run.lean_yaw,
+        run.state,
+        run.info,
+        run.info.start_ns,
+        {},
+    )
+
+
+@pytest.mark.parametrize("estimator", ["least_squares", "kalman_rts"])
+def test_interval_holds_the_speeds_uncertainty(estimator: str) -> None:
+    # First order: var(p) = var(p at this speed) + (dp/dv)^2 var(v), dp/dv by refitting at two other speeds.
+    run = run_of("tms_strike", 4, speed=1.6, duration=4.5)
+    settings = FitSettings(free=("initial_lean_rate",), estimators=(estimator,))
+    fit = fit_recording(recording(run), load_bicycle("tms_eq_10_1"), settings)
+    window = fit.strikes[0].window
+    assert window is not None
+    assert window.speed_std == pytest.approx(
+        0.01 * 1.2533 / np.sqrt(75), rel=0.3
+    )  # 50 Hz for 1.5 s, 0.01 m/s each
+    solve = ESTIMATORS[estimator]
+    with_it, without = (solve(w, settings.free, {}) for w in (window, replace(window, speed_std=0.0)))
+    speeds = window.system.speed + np.array([-0.001, 0.001])
+    low, high = (solve(at_speed(window, float(v)), settings.free, {}).values[0] for v in speeds)
+    expected = without.std[0] ** 2 + ((high - low) / 0.002 * window.speed_std) ** 2
+    assert with_it.std[0] ** 2 == pytest.approx(expected, rel=1e-3)
+    assert with_it.std[0] > 1.2 * without.std[0]
+
+
+def test_truth_is_inside_the_interval_of_an_unstable_bicycle_as_often_as_claimed() -> None:
+    # 60 runs at 1.6 m/s; 95 % of 60 is 57 +- 1.7, and the exact binomial puts 99.9 % of cases at 51 or more.
+    inside = 0
+    for seed in range(60):
+        run = run_of("tms_strike", seed, speed=1.6, duration=4.5)
+        settings = FitSettings(estimators=("least_squares",))
+        (strike,) = fit_recording(recording(run), load_bicycle("tms_eq_10_1"), settings).strikes
+        low, high = strike.estimates[0].ci95[0]
+        inside += int(low <= 0.5 <= high)
+    assert inside >= 51
+
+
+def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
+    run = replace(run_of("delft_push", 2), steer_torque=None)
+    settings = FitSettings(fixed={"lean_rate_gain": 7.0}, estimators=("least_squares",))
+    (strike,) = fit_recording(recording(run), load_bicycle("delft_sbw"), settings).strikes
+    low, high = strike.estimates[0].ci95[0]
+    assert low <= -0.7 <= high
+    assert strike.estimates[0].vaf["lean_rate"] > 0.98
+
+
+def test_the_gain_can_not_be_free() -> None:
+    with pytest.raises(ParameterError, match="unknown 'lean_rate_gain'"):
+        FitSettings(free=("lean_rate_gain",))
