@@ -49,7 +49,7 @@ def made_window(
     if jitter:
         time[1:] = np.round(time[1:] + rng.uniform(-0.3, 0.3, count - 1) * step, 9)
     system = linear_system(load_bicycle(bicycle), speed)
-    known = 0.05 * np.sin(7.0 * time) if torque else None
+    known = 0.05 * np.cos(7.0 * time) if torque else None
     states = response(system, np.array([truth.get(name, 0.0) for name in INITIAL]), time + delay, known)
     measured = np.stack([states[:, 2], yaw_rate(system, states)], axis=1)
     measured += [truth.get(name, 0.0) for name in BIASES] + noise * rng.standard_normal((count, 2))

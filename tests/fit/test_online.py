@@ -16,9 +16,10 @@ from tms_fit.live import INPUTS, LiveFit
 from tms_fit.messages import estimate_records
 from tms_fit.offline import bicycle_of, fit_recording
 from tms_fit.online import PATIENCE, OnlineFit, StrikeFit
-from tms_fit.running_filter import FilterStep
+from tms_fit.running_filter import FilterStep, RunningFilter
 from tms_fit.settings import FitSettings
 from tms_model import ParameterError, load_bicycle
+from tms_model.frames import imu_to_rear_frame
 from tms_sim.run import SimulatedRun
 
 SECOND = 1_000_000_000
@@ -168,6 +169,23 @@ def test_speed_is_the_median_of_the_window_unless_fixed(
     used = (run.speed.time_ns >= strike.strike.time_ns) & (run.speed.time_ns <= strike.end_ns)
     assert strike.window is not None
     assert strike.window.system.speed == held.get("speed", float(np.median(run.speed.speed[used])))
+
+
+def test_a_torque_acts_from_its_sample_on(make_run: Any) -> None:
+    # Between two IMU samples acts the torque of the first of them: the filter by hand.
+    run = make_run("delft_push", strike__time=7.9, strike__lean_rate=0.0, duration=8.0, imu__rate=50.0)
+    torque = np.cos(np.arange(len(run.imu.time_ns)))  # of no strike and no feedback
+    assert run.steer_torque is not None
+    run = replace(run, steer_torque=replace(run.steer_torque, steer_torque=torque))
+    steps = [one for one in results_of(run, in_order(run)) if isinstance(one, FilterStep)]
+    running = RunningFilter(load_bicycle("delft_sbw"), 0.02)
+    turned = imu_to_rear_frame(run.imu.angular_velocity, run.info.imu_orientation)
+    held = np.concatenate([[0.0], torque[:-1]])
+    for k, step in enumerate(steps[:100]):
+        by_hand = running.step(
+            step.time_ns, turned[k], run.imu.angular_velocity_variance, step.speed, float(held[k])
+        )
+        np.testing.assert_array_equal(step.state, by_hand.state)
 
 
 def test_a_run_with_a_gap_stays_exact(make_run: Any, fit_run: Any) -> None:
