@@ -168,3 +168,22 @@ def test_reader_that_leaves_early_is_no_error() -> None:
     done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     assert len(done.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("eigenvalues", "benchmark", "--speed", "1e300"),
+        ("response", "benchmark", "--speed", "1e200", "--lean-rate", "0.5"),
+        ("stability", "benchmark", "--set", "front_wheel_inertia_yy=1e308"),
+        ("linearity", "benchmark", "--speed", "1e6"),
+        ("linearity", "benchmark", "--speed", "5", "--duration", "1e9"),
+    ],
+)
+def test_absurd_but_finite_numbers_are_one_line(arguments: tuple[str, ...]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tms_model", *arguments], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("error: ")

@@ -48,6 +48,12 @@ class Bicycle:
     standard_deviations: Mapping[str, float] = field(default_factory=dict)  # of parameters, where stated
 
     def __post_init__(self) -> None:
+        for letter, matrix in self.canonical.items():
+            if not np.isfinite(matrix).all():
+                raise ParameterError(
+                    f"bicycle {self.name}: expected finite matrices, found {letter} {matrix.tolist()};"
+                    " some number of the bicycle is too large"
+                )
         if (
             not np.allclose(self.mass, self.mass.T, rtol=1e-12, atol=0.0)
             or np.linalg.eigvalsh(self.mass)[0] <= 0.0

@@ -20,6 +20,7 @@ from tms_model.parameters import ParameterError
 from tms_model.response import LEAN, LEAN_RATE, STEER, LinearSystem, linear_system, response, yaw_rate
 
 DEVIATIONS = (0.01, 0.05)
+LONGEST, FASTEST = 60.0, 100.0  # [s], [m/s]; beyond them the nonlinear motion takes minutes to integrate
 _STEP = 0.01  # [s], between compared samples
 _SMALL = 1e-3  # [rad], of lean: where the search begins
 _TRIALS = 40
@@ -49,8 +50,11 @@ def linearity(
     is not between 0 and 1.
     """
     whipple_parameters(bicycle)
-    if not (math.isfinite(duration) and duration >= _STEP):
-        raise ParameterError(f"duration: expected at least {_STEP:g} s, found {duration:g}")
+    if not _STEP <= duration <= LONGEST:
+        wanted = f"at least {_STEP:g} s, at most {LONGEST:g} s"
+        raise ParameterError(f"duration: expected {wanted}, found {duration:g}")
+    if speed > FASTEST:
+        raise ParameterError(f"speed: expected at most {FASTEST:g} m/s, found {speed:g}")
     for deviation in deviations:
         if not 0.0 < deviation < 1.0:
             raise ParameterError(f"deviation: expected a number between 0 and 1, found {deviation:g}")

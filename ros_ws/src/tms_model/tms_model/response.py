@@ -18,6 +18,7 @@ from tms_model.bicycle import Array, Bicycle
 from tms_model.exponential import expm
 from tms_model.parameters import ParameterError
 
+FASTEST = 1000.0  # [m/s]; far beyond it powers of speed overflow
 STATE = ("lean", "steer", "lean_rate", "steer_rate")  # [rad, rad, rad/s, rad/s]
 LEAN, STEER, LEAN_RATE, STEER_RATE = range(4)
 
@@ -53,8 +54,10 @@ def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -
     Raises ParameterError for a speed that is not finite and positive (a bicycle that stands has no response
     to compare), or a feedback that is not finite.
     """
-    if not (math.isfinite(speed) and speed > 0.0):
-        raise ParameterError(f"speed: expected a positive number of m/s, found {speed:g}")
+    if not 0.0 < speed <= FASTEST:
+        raise ParameterError(
+            f"speed: expected a positive number of m/s, at most {FASTEST:g}, found {speed:g}"
+        )
     if not math.isfinite(lean_rate_gain):
         raise ParameterError(f"gain: expected a finite number of N m s/rad, found {lean_rate_gain:g}")
     torque = np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])

@@ -13,6 +13,7 @@ import numpy as np
 from tms_model.bicycle import Bicycle
 from tms_model.command_line import print_json
 from tms_model.parameters import ParameterError
+from tms_model.response import FASTEST
 from tms_model.stability import eigenvalues, stability
 from tms_model.uncertainty import Uncertain, eigenvalue_uncertainty, stability_uncertainty
 
@@ -67,8 +68,10 @@ def print_stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
 def print_eigenvalues(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     """Print the four eigenvalues at a speed. Raises ParameterError for a negative or not finite speed."""
     speed = arguments.speed
-    if not (math.isfinite(speed) and speed >= 0.0):
-        raise ParameterError(f"speed: expected zero or a positive number of m/s, found {speed:g}")
+    if not 0.0 <= speed <= FASTEST:
+        raise ParameterError(
+            f"speed: expected zero or a positive number of m/s, at most {FASTEST:g}, found {speed:g}"
+        )
     roots = eigenvalues(bicycle, speed)
     found = eigenvalue_uncertainty(bicycle, speed, *_sampling(arguments)) if arguments.uncertainty else []
     if arguments.json:
