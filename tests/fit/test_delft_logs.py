@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +24,21 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(params=PUBLISHED["runs"], ids=lambda run: run["log"])
-def run(request: pytest.FixtureRequest) -> dict[str, Any]:
-    found: dict[str, Any] = request.param
-    return found
+@pytest.fixture(scope="module", params=PUBLISHED["runs"], ids=lambda run: run["log"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A log, imported as a user would."""
+    bag = tmp_path_factory.mktemp("delft") / "bag"
+    command = [sys.executable, "-m", "tms_bag", "import-csv", LOGS / request.param["log"]]
+    subprocess.run([*command, "--mapping", "delft_sbw", "-o", bag], check=True, capture_output=True)
+    return {**request.param, "bag": bag}
 
 
 @pytest.fixture
-def strikes(command: Any, run: dict[str, Any], tmp_path: Path) -> Any:
-    """Strikes nearest to the pushes that the authors picked, by `import-csv` and `fit run --json`."""
+def strikes(command: Any, run: dict[str, Any]) -> Any:
+    """Strikes nearest to the pushes that the authors picked, by `fit run --json`."""
 
     def fit(*options: str) -> list[dict[str, Any]]:
-        bag = tmp_path / "bag"
-        done = command("tms_bag", "import-csv", LOGS / run["log"], "--mapping", "delft_sbw", "-o", bag)
-        assert done.code == 0, done.err
-        done = command("tms_fit", "run", bag, "--estimator", "least_squares", "--json", *options)
+        done = command("tms_fit", "run", run["bag"], "--estimator", "least_squares", "--json", *options)
         assert done.code == 0, done.err
         document = json.loads(done.out)
         assert document["bicycle"] == "delft_sbw"
