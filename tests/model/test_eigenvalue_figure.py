@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 from tms_model import Bicycle, bicycle_names, eigenvalues, load_bicycle, stability
 from tms_model.figures.drawing import drawing_figure
 from tms_model.figures.eigenvalues import eigenvalue_figure
@@ -42,8 +42,10 @@ def test_every_eigenvalue_is_drawn_at_every_speed(name: str) -> None:
 def test_stable_ranges_are_shaded_and_weave_and_capsize_marked(name: str) -> None:
     bicycle, _, left, _ = parts(name)
     answer, highest = stability(bicycle), left.get_xlim()[1]
-    spans = [patch for patch in left.patches if isinstance(patch, Rectangle)]
-    found = [(span.get_x(), span.get_x() + span.get_width()) for span in spans]
+    # A span is a Rectangle or, before matplotlib 3.9, a Polygon; its bounding box is the same.
+    spans = [patch for patch in left.patches if isinstance(patch, Rectangle | Polygon)]
+    boxes = [(span.get_path().get_extents(span.get_patch_transform())) for span in spans]
+    found = [(float(box.x0), float(box.x1)) for box in boxes]
     expected = [(low, min(high, highest)) for low, high in answer.stable_speed_ranges if low < highest]
     np.testing.assert_allclose(np.array(found).reshape(-1, 2), np.array(expected).reshape(-1, 2), rtol=1e-12)
     texts = [text.get_text() for text in left.texts]
