@@ -38,7 +38,12 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def quantile(self) -> float:
+        """Half of a 95 % interval per standard error: Student's t."""
+        return float(student_t.ppf(0.975, max(self.degrees_of_freedom, 1)))
+
+    @property
     def ci95(self) -> Array:
         """95 % intervals (p, 2), by Student's t: right for white residuals, too narrow for coloured ones."""
-        half = student_t.ppf(0.975, max(self.degrees_of_freedom, 1)) * self.std
+        half = self.quantile * self.std
         return np.stack([self.values - half, self.values + half], axis=1)

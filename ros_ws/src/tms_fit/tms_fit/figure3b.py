@@ -55,7 +55,7 @@ def _draw(fit: RecordingFit, strike: StrikeFit, used: Window, estimate: Estimate
     columns = model.select(estimate.names)
     # Parameter uncertainty carried to the curves; Student's t as in the interval of the estimate.
     std = np.sqrt(np.einsum("nci,ij,ncj->nc", columns, estimate.covariance, columns))
-    half = std * _t_factor(estimate)
+    half = std * estimate.quantile
     before_time, before = _before(fit, strike)
     end = (strike.end_ns - strike.start_ns) / 1e9
     for channel, (axes, name) in enumerate(((upper, "lean rate [rad/s]"), (lower, "yaw rate [rad/s]"))):
@@ -92,7 +92,7 @@ def _title(fit: RecordingFit, used: Window, estimate: Estimate, number: int) -> 
     text += f" at {used.system.speed:.2f} m/s"
     if name in estimate.names:
         index = estimate.names.index(name)
-        half = 0.5 * float(estimate.ci95[index, 1] - estimate.ci95[index, 0])
+        half = estimate.quantile * float(estimate.std[index])
         text += f"\ninitial lean rate {estimate.values[index]:.4f} ± {half:.4f} rad/s"
         text += f" (95 %, {estimate.estimator.replace('_', ' ')})"
     return text
@@ -132,10 +132,6 @@ def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
     )
     rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
     return (imu.time_ns[rows] - strike.start_ns) / 1e9, rates[:, [0, 2]]
-
-
-def _t_factor(estimate: Estimate) -> float:
-    return float((estimate.ci95[0, 1] - estimate.values[0]) / estimate.std[0]) if estimate.std[0] else 0.0
 
 
 def _say_absent(axes: Axes) -> None:

@@ -35,7 +35,7 @@ class LiveFit:
         self.bicycle = ""
         self._info: RunInfo | None = None
         self._online: OnlineFit | None = None
-        self._held: list[tuple[str, bytes]] = []
+        self._held: list[tuple[str, Record]] = []
         self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
 
@@ -46,7 +46,7 @@ class LiveFit:
         if topic == topics.RUN_INFO:
             return self._announce(conversion.run_info(record))
         if self._online is None:
-            self._held.append((topic, data))
+            self._held.append((topic, record))
             waited = self._given and sum(kind == topics.IMU for kind, _ in self._held) > WAIT_FOR_RUN_INFO
             return self._begin() if waited else []
         self._add(topic, record)
@@ -68,14 +68,12 @@ class LiveFit:
 
     def _begin(self) -> list[Record]:
         self._restart()
-        held, self._held = self._held, []
-        answers: list[Record] = []
         if self._online is None:
-            self._held = held
-            return answers
-        for topic, data in held:
-            self._add(topic, Record(f"/{topic}", topics.TYPES[topic], 0, data))
-        return answers + self._answers()
+            return []
+        held, self._held = self._held, []
+        for topic, record in held:
+            self._add(topic, record)
+        return self._answers()
 
     def _restart(self) -> None:
         name = self._given or (self._info.bicycle if self._info else "")

@@ -13,7 +13,7 @@ from filterpy.kalman import KalmanFilter
 from tms_model import Bicycle, discretise, linear_system
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
-from tms_model.response import LEAN, LEAN_RATE
+from tms_model.response import LEAN, LEAN_RATE, yaw_row
 
 FIRST_STD = (0.1, 0.1, 1.0, 2.0)  # [rad, rad, rad/s, rad/s], of the state at the first sample
 STRIKE_STD = (0.02, 0.02, 2.0, 5.0)  # the same where a strike begins: upright, but of unknown rates
@@ -90,7 +90,7 @@ class RunningFilter:
         measured = np.array([lean_rate[0], yaw_rate[0]])
         rows = np.zeros((2, 4))
         rows[0, LEAN_RATE] = 1.0
-        rows[1] = linear_system(self._bicycle, speed).yaw
+        rows[1] = yaw_row(self._bicycle, speed)
         noise = np.diag(np.where(np.isfinite(variance[[0, 2]]), variance[[0, 2]], self._noise**2))
         good = np.isfinite(measured)
         innovation, spread, nis = np.full(2, np.nan), np.full((2, 2), np.nan), float("nan")

@@ -43,9 +43,9 @@ class FitSettings:
         return {name: value for name, value in self.fixed.items() if name in LINEAR}
 
     def __post_init__(self) -> None:
-        _known(self.free or (), LINEAR, "free")
-        _known(self.fixed, (*LINEAR, *FIXED_ONLY), "fix")
-        _known((self.steer_torque,), ("auto", "feedback", "input", "ignore"), "steer torque")
+        check_known(self.free or (), LINEAR, "free")
+        check_known(self.fixed, (*LINEAR, *FIXED_ONLY), "fix")
+        check_known((self.steer_torque,), ("auto", "feedback", "input", "ignore"), "steer torque")
         if self.free is not None and not self.free:
             raise ParameterError(f"free: expected at least one of {', '.join(LINEAR)}, found none")
         twice = [name for name in self.free or () if (self.free or ()).count(name) > 1]
@@ -66,7 +66,8 @@ class FitSettings:
             )
 
 
-def _known(names: Iterable[str], expected: tuple[str, ...], what: str) -> None:
+def check_known(names: Iterable[str], expected: Iterable[str], what: str) -> None:
+    """Raise ParameterError for a name that is not expected; `what` says where it stands."""
     for name in names:
         if name not in expected:
             raise ParameterError(f"{what}: unknown {name!r}; expected of {', '.join(expected)}")

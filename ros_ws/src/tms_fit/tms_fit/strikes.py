@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,8 +81,9 @@ class StrikeDetector:
         earlier = self._earlier_memory(time_ns)
         self._append(time_ns, lean_rate, swing)
         if self._trigger_ns is None:
-            least = max(self._settings.least_change, 6.0 * self._noise(), earlier)
-            if len(self._time) > LEAST_SAMPLES and swing > least:
+            large = swing > max(self._settings.least_change, earlier)
+            # The noise, a median, is asked for last: on a quiet ride that is hardly ever.
+            if large and len(self._time) > LEAST_SAMPLES and swing > 6.0 * self._noise():
                 self._trigger_ns = time_ns
         elif time_ns - self._trigger_ns >= self._settings.rise * NANOSECONDS:
             strike = self._judge()
@@ -100,12 +102,9 @@ class StrikeDetector:
     def _swing(self, time_ns: int, lean_rate: float) -> float:
         """Largest change from any sample of the last `rise` seconds to this one."""
         since = time_ns - self._settings.rise * NANOSECONDS
-        recent = [
-            rate
-            for when, rate in zip(reversed(self._time), reversed(self._rate), strict=True)
-            if when >= since
-        ]
-        return max((abs(lean_rate - rate) for rate in recent), default=0.0)
+        latest_first = zip(reversed(self._time), reversed(self._rate), strict=True)
+        recent = takewhile(lambda sample: sample[0] >= since, latest_first)
+        return max((abs(lean_rate - rate) for _, rate in recent), default=0.0)
 
     def _earlier_memory(self, time_ns: int) -> float:
         """Memory of the swings as it stood before the present change can have begun, faded until now."""

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tms_model.response import first_order
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 APART = 1e-3  # roots nearer to each other than this share of their size are left to numpy
@@ -31,15 +33,8 @@ def quadratic_eigenvalues(mass: Array, damping: Array, stiffness: Array) -> Comp
     roots = np.ascontiguousarray(roots.T)
     if not safe.all():
         rows = ~safe
-        roots[rows] = np.linalg.eigvals(_state_matrices(mass[rows], damping[rows], stiffness[rows]))
+        roots[rows] = np.linalg.eigvals(first_order(mass[rows], damping[rows], stiffness[rows]))
     return np.take_along_axis(roots, np.lexsort((roots.imag, roots.real), axis=-1), axis=-1)
-
-
-def _state_matrices(mass: Array, damping: Array, stiffness: Array) -> Array:
-    state = np.zeros((len(mass), 4, 4))
-    state[:, :2, 2:] = np.eye(2)
-    state[:, 2:, :2], state[:, 2:, 2:] = -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
-    return state
 
 
 def _coefficients(m: Array, c: Array, k: Array) -> Array:

@@ -39,13 +39,32 @@ def state_matrix(bicycle: Bicycle, speed: float | Array, lean_rate_gain: float =
     The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller does
     in this run, T_steer = lean_rate_gain * lean rate; positive steers into the fall.
     """
-    damping, stiffness = bicycle.damping_at(speed), bicycle.stiffness_at(speed)
+    damping = bicycle.damping_at(speed)
     damping[..., 1, 0] -= lean_rate_gain
+    return first_order(bicycle.mass, damping, bicycle.stiffness_at(speed))
+
+
+def first_order(mass: Array, damping: Array, stiffness: Array) -> Array:
+    """State matrices (..., 4, 4) of M q'' + C q' + K q = 0; each (2, 2) or (..., 2, 2)."""
     matrix = np.zeros((*damping.shape[:-2], 4, 4))
     matrix[..., :2, 2:] = np.eye(2)
-    matrix[..., 2:, :2] = -np.linalg.solve(bicycle.mass, stiffness)
-    matrix[..., 2:, 2:] = -np.linalg.solve(bicycle.mass, damping)
+    matrix[..., 2:, :2] = -np.linalg.solve(mass, stiffness)
+    matrix[..., 2:, 2:] = -np.linalg.solve(mass, damping)
     return matrix
+
+
+def torque_column(bicycle: Bicycle) -> Array:
+    """Change of the state (4,) per second and N m of steer torque."""
+    return np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])
+
+
+def yaw_row(bicycle: Bicycle, speed: float | Array) -> Array:
+    """Yaw rate per state (4,), Eq. (10.2), at a speed [m/s]; (n, 4) at n speeds."""
+    projection = math.cos(bicycle.steer_axis_tilt) / bicycle.wheelbase
+    row = np.zeros((*np.shape(speed), 4))
+    row[..., STEER] = speed * projection
+    row[..., STEER_RATE] = bicycle.trail * projection
+    return row
 
 
 def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -> LinearSystem:
@@ -60,10 +79,8 @@ def linear_system(bicycle: Bicycle, speed: float, lean_rate_gain: float = 0.0) -
         )
     if not math.isfinite(lean_rate_gain):
         raise ParameterError(f"gain: expected a finite number of N m s/rad, found {lean_rate_gain:g}")
-    torque = np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])
-    projection = math.cos(bicycle.steer_axis_tilt) / bicycle.wheelbase
-    yaw = np.array([0.0, speed * projection, 0.0, bicycle.trail * projection])  # (10.2)
-    return LinearSystem(state_matrix(bicycle, speed, lean_rate_gain), torque, yaw, speed)
+    matrix = state_matrix(bicycle, speed, lean_rate_gain)
+    return LinearSystem(matrix, torque_column(bicycle), yaw_row(bicycle, speed), speed)
 
 
 def discretise(system: LinearSystem, step: float) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from tms_model.acceleration import Resistance, acceleration_stiffness, parameter
 from tms_model.bicycle import Array, Bicycle
 from tms_model.exponential import expm
 from tms_model.parameters import ParameterError
-from tms_model.response import STEER, STEER_RATE
+from tms_model.response import first_order, torque_column, yaw_row
 
 MAX_STEP = 0.005  # [s]
 _GAUSS = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))  # points in a step of length one
@@ -50,18 +50,11 @@ def state_matrices(
     The bicycle's steer elements are in. A bicycle given by matrices only takes the terms in v' from its
     stand-in (`tms_model.acceleration.STAND_INS`). Raises ParameterError as `acceleration_stiffness` does.
     """
-    v = speeds[:, None, None]
-    stiffness = bicycle.gravity * bicycle.stiffness0 + v**2 * bicycle.stiffness2
-    stiffness = stiffness + bicycle.steer_elements.stiffness
+    stiffness = bicycle.stiffness_at(speeds)
     if accelerations.any():
         parameters, _ = parameters_under_acceleration(bicycle)
         stiffness += acceleration_stiffness(parameters, accelerations, resistance)
-    damping = v * bicycle.damping + bicycle.steer_elements.damping
-    matrices = np.zeros((len(speeds), 4, 4))
-    matrices[:, :2, 2:] = np.eye(2)
-    inverse = np.linalg.inv(bicycle.mass)
-    matrices[:, 2:, :2], matrices[:, 2:, 2:] = -inverse @ stiffness, -inverse @ damping
-    return matrices
+    return first_order(bicycle.mass, bicycle.damping_at(speeds), stiffness)
 
 
 def varying_system(
@@ -81,10 +74,7 @@ def varying_system(
     whole = exponentials[:, 0]
     for part in range(1, parts):
         whole = exponentials[:, part] @ whole
-    projection = math.cos(bicycle.steer_axis_tilt) / bicycle.wheelbase
-    yaw = np.zeros((len(times), 4))
-    yaw[:, STEER], yaw[:, STEER_RATE] = projection * speeds, projection * bicycle.trail
-    return VaryingSystem(times, speeds, whole[:, :4, :4], whole[:, :4, 4], yaw)
+    return VaryingSystem(times, speeds, whole[:, :4, :4], whole[:, :4, 4], yaw_row(bicycle, speeds))
 
 
 def varying_response(system: VaryingSystem, initial: Array, steer_torque: Array | None = None) -> Array:
@@ -137,7 +127,7 @@ def _magnus(
         generator = np.zeros((*at.shape, 5, 5))
         matrices = state_matrices(bicycle, at.ravel(), changing.ravel(), resistance)
         generator[..., :4, :4] = matrices.reshape(*at.shape, 4, 4)
-        generator[..., 2:4, 4] = np.linalg.solve(bicycle.mass, [0.0, 1.0])
+        generator[..., :4, 4] = torque_column(bicycle)
         generators.append(generator * steps[:, None, None, None])
     first, middle, last = generators
     slope, bend = math.sqrt(15.0) / 3.0 * (last - first), 10.0 / 3.0 * (last - 2.0 * middle + first)

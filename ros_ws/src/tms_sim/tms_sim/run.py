@@ -77,16 +77,16 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> SimulatedRun:
     system = linear_system(bicycle, scenario.number("speed"), gain)
     end, fallen_at = _end(scenario, system)
     imu_time = _stamps(scenario.number("imu.rate"), end)
-    imu, lean_yaw = _measure_imu(scenario, bicycle, system, imu_time, rng)
+    states = _states(scenario, system, imu_time)[:, :4]
+    imu, lean_yaw = _measure_imu(scenario, bicycle, system, imu_time, states, rng)
     speed_time = _stamps(scenario.number("speed_sensor.rate"), end)
     noise = scenario.number("speed_sensor.noise") * rng.standard_normal(len(speed_time))
     start_ns = scenario.integer("start_time_ns")
-    torque = gain * _states(scenario, system, imu_time)[:, LEAN_RATE]
     return SimulatedRun(
         info=_info(scenario, bicycle),
         state=_truth(scenario, system, _stamps(scenario.number("state_rate"), end), gain),
         speed=SpeedSamples(start_ns + speed_time, system.speed + noise),
-        steer_torque=SteerTorqueSamples(start_ns + imu_time, torque) if gain else None,
+        steer_torque=SteerTorqueSamples(start_ns + imu_time, gain * states[:, LEAN_RATE]) if gain else None,
         imu=imu,
         lean_yaw=lean_yaw,
         fallen_at=fallen_at,
@@ -128,9 +128,9 @@ def _measure_imu(
     bicycle: Bicycle,
     system: LinearSystem,
     time_ns: NDArray[np.int64],
+    states: Array,
     rng: np.random.Generator,
 ) -> tuple[ImuSamples, LeanYawSamples]:
-    states = _states(scenario, system, time_ns)[:, :4]
     changes = states @ system.a.T
     motion = RearFrameMotion(
         lean=states[:, LEAN],

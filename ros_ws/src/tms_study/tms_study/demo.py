@@ -153,14 +153,14 @@ def _table(fit: RecordingFit, live: dict[str, tuple[float, float, float]], outpu
             value, low, high = live[estimate.estimator]
             name = f"{estimate.estimator}, live node"
             lines.append(f"  {name:24} {value:9.5f}   95 % [{low:.5f}, {high:.5f}]")
-    width = max(len(name) for name in ("figure_3b.png", "estimate.json"))
     lines += ["", "look at"]
     texts = {
         "figure_3b.png": "measured and predicted",
         "estimate.json": "all numbers",
         "bag": "the recording",
     }
-    lines += [f"  {output / name}{' ' * (width - len(name))}  {text}" for name, text in texts.items()]
+    width = max(len(str(output / name)) for name in texts)
+    lines += [f"  {output / name!s:{width}}  {text}" for name, text in texts.items()]
     return "\n".join(lines)
 
 

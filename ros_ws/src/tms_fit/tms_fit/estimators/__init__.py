@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tms_model import ParameterError
-
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
+from tms_fit.settings import check_known
 from tms_fit.window import Window
 
 Estimator = Callable[[Window, tuple[str, ...], dict[str, float]], Estimate]
@@ -25,6 +24,4 @@ ESTIMATORS: dict[str, Estimator] = {
 
 def check_names(names: tuple[str, ...]) -> None:
     """Raise ParameterError for an unknown estimator."""
-    for name in names:
-        if name not in ESTIMATORS:
-            raise ParameterError(f"estimator: unknown {name!r}; expected of {', '.join(ESTIMATORS)}")
+    check_known(names, ESTIMATORS, "estimator")
