@@ -33,6 +33,11 @@ LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an in
 WORLD, REAR_FRAME, FRONT_FRAME = "world", "rear_frame", "front_frame"
 
 _STATE = ("lean", "steer", "lean_rate", "steer_rate")
+_TRUTH = (
+    "speed", "yaw", "yaw_rate", "steer_torque", "acceleration", "lean_acceleration", "steer_acceleration",
+    "yaw_acceleration", "rear_slip", "front_slip",
+)  # fmt: skip
+_CONTACTS = ("rear_contact", "front_contact")
 _LEAN_YAW = ("lean", "lean_rate", "yaw_rate")
 
 
@@ -118,7 +123,7 @@ def steer_torque_samples(records: Iterable[Record]) -> SteerTorqueSamples:
 def state_records(samples: StateSamples) -> Iterator[Record]:
     """tms_msgs/BicycleState on /bicycle/state."""
     table = _table(topics.STATE, samples.time_ns, WORLD)
-    for name in ("speed", "yaw", "yaw_rate", "steer_torque"):
+    for name in (*_TRUTH, *_CONTACTS, "phase"):
         table[name] = getattr(samples, name)
     for number, name in enumerate(_STATE):
         table[name] = samples.state[:, number]
@@ -130,11 +135,9 @@ def state_samples(records: Iterable[Record]) -> StateSamples:
     table, _ = _read(topics.STATE, records)
     return StateSamples(
         time_ns=stamps(table),
-        speed=_column(table, "speed"),
         state=np.stack([_column(table, name) for name in _STATE], axis=1),
-        yaw=_column(table, "yaw"),
-        yaw_rate=_column(table, "yaw_rate"),
-        steer_torque=_column(table, "steer_torque"),
+        phase=table["phase"].astype(np.uint8),
+        **{name: _column(table, name) for name in (*_TRUTH, *_CONTACTS)},
     )
 
 

@@ -23,6 +23,18 @@ def _unknown_variance() -> FloatArray:
     return np.full(3, np.nan)
 
 
+def _none() -> FloatArray:
+    return np.empty(0)
+
+
+def _no_place() -> FloatArray:
+    return np.empty((0, 2))
+
+
+def _no_phase() -> NDArray[np.uint8]:
+    return np.empty(0, np.uint8)
+
+
 def _identity() -> FloatArray:
     return np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -72,7 +84,7 @@ class SteerTorqueSamples:
 
 @dataclass(frozen=True, eq=False)
 class StateSamples:
-    """True state of a simulated bicycle."""
+    """True state of a simulated bicycle; what is left out is NaN, and phase 0 (tms_msgs/BicycleState)."""
 
     time_ns: IntArray  # (n,) [ns]
     speed: FloatArray  # (n,) [m/s]
@@ -80,6 +92,23 @@ class StateSamples:
     yaw: FloatArray  # (n,) [rad]
     yaw_rate: FloatArray  # (n,) [rad/s]
     steer_torque: FloatArray  # (n,) [N m]
+    phase: NDArray[np.uint8] = field(default_factory=_no_phase)  # (n,) constants of tms_msgs/BicycleState
+    acceleration: FloatArray = field(default_factory=_none)  # (n,) [m/s^2] of the speed
+    lean_acceleration: FloatArray = field(default_factory=_none)  # (n,) [rad/s^2]
+    steer_acceleration: FloatArray = field(default_factory=_none)  # (n,) [rad/s^2]
+    yaw_acceleration: FloatArray = field(default_factory=_none)  # (n,) [rad/s^2]
+    rear_contact: FloatArray = field(default_factory=_no_place)  # (n, 2) [m] x, y on the floor
+    front_contact: FloatArray = field(default_factory=_no_place)  # (n, 2) [m] x, y on the floor
+    rear_slip: FloatArray = field(default_factory=_none)  # (n,) [m/s] lateral, to the right positive
+    front_slip: FloatArray = field(default_factory=_none)  # (n,) [m/s] lateral, to the right positive
+
+    def __post_init__(self) -> None:
+        for entry in dataclasses.fields(self):
+            values = getattr(self, entry.name)
+            if len(values) == 0 and self.time_ns.size:
+                shape = (self.time_ns.size, *values.shape[1:])
+                absent = np.zeros(shape, np.uint8) if values.dtype == np.uint8 else np.full(shape, np.nan)
+                object.__setattr__(self, entry.name, absent)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,6 +55,7 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
         header=_header(fit.start_ns),
         window_start=_time(fit.strike.time_ns),
         window_end=_time(fit.end_ns),
+        final=True,
         bicycle=bicycle,
         estimator=estimate.estimator,
         status=estimate.status,
