@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 # What ./tms reads: enough to set the project up elsewhere.
-PARTS = ["tms", "pyproject.toml", "requirements", "ros_ws/src"]
+PARTS = ["tms", "pyproject.toml", "requirements", "ros_ws/src", "ros_ws/interfaces"]
 
 
 @pytest.fixture
