@@ -1,0 +1,114 @@
+"""A strike's recording beside its prediction, over more time than was fitted: for figures and reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from tms_bag import RecordingError
+from tms_model.bicycle import Array
+from tms_model.frames import imu_to_rear_frame
+
+from tms_fit.estimate import Estimate
+from tms_fit.offline import RecordingFit, orientation_of
+from tms_fit.online import StrikeFit
+from tms_fit.prediction import predictor
+from tms_fit.window import Window, make_window
+
+BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Lean rate and yaw rate (columns) around one strike, times [s] since the start of the free response."""
+
+    strike: StrikeFit
+    estimate: Estimate  # whose prediction this is
+    used: Window  # what was fitted
+    shown: Window  # the same, prolonged up to AFTER or to the next strike
+    time: Array  # (n,) [s] of the samples shown
+    measured: Array  # (n, 2) [rad/s], NaN: absent
+    predicted: Array  # (n, 2) [rad/s]
+    half: Array  # (n, 2) [rad/s] half of the 95 % band: the estimate's covariance carried to the curves
+    before_time: Array  # (m,) [s], negative
+    before: Array  # (m, 2) [rad/s] measured just before
+
+    @property
+    def end(self) -> float:
+        """Last time used for the fit [s]."""
+        return (self.strike.end_ns - self.strike.start_ns) / 1e9
+
+
+def first_good(strike: StrikeFit) -> Estimate | None:
+    """The first estimate of a strike whose status is ok; None if there is none, or nothing to compare."""
+    good = [one for one in strike.estimates if one.status == "ok"]
+    return good[0] if good and strike.window is not None else None
+
+
+def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
+    """Comparison for strike `number`, counted from 1. Raises RecordingError if it was not fitted."""
+    if not 1 <= number <= len(fit.strikes):
+        raise RecordingError(
+            f"{fit.recording.path}: expected a strike number from 1 to {len(fit.strikes)}, found {number}"
+            + ("" if fit.strikes else "; the recording holds no strike")
+        )
+    strike = fit.strikes[number - 1]
+    estimate = first_good(strike)
+    if strike.window is None or estimate is None:
+        raise RecordingError(
+            f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}"
+        )
+    shown = _shown_window(fit, number, strike.window)
+    model = predictor(shown)
+    columns = model.select(estimate.names)
+    # Student's t, as in the interval of the estimate.
+    std = np.sqrt(np.einsum("nci,ij,ncj->nc", columns, estimate.covariance, columns))
+    before_time, before = _before(fit, strike)
+    return Comparison(
+        strike=strike,
+        estimate=estimate,
+        used=strike.window,
+        shown=shown,
+        time=shown.time + shown.delay,
+        measured=shown.measured,
+        predicted=model.predict({**fit.settings.fixed_linear, **estimate.parameters}),
+        half=std * estimate.quantile,
+        before_time=before_time,
+        before=before,
+    )
+
+
+def source_of(fit: RecordingFit) -> str:
+    """'simulated' or 'measured': no simulated sample may pass for a measured one."""
+    info = fit.recording.run_info
+    return "simulated" if info is not None and info.simulated else "measured"
+
+
+def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
+    """The window prolonged beyond what was fitted, up to the next strike: there the curve truly predicts."""
+    imu, torque = fit.recording.imu, fit.recording.steer_torque
+    strikes = fit.strikes
+    end = used.start_ns + round(AFTER * 1e9)
+    if number < len(strikes):
+        end = min(end, strikes[number].strike.onset_ns)
+    rows = np.flatnonzero((imu.time_ns >= used.first_ns) & (imu.time_ns <= end))
+    known = None
+    if torque is not None and used.steer_torque is not None:
+        index = np.searchsorted(torque.time_ns, imu.time_ns[rows], side="right") - 1
+        known = np.where(index >= 0, torque.steer_torque[np.maximum(index, 0)], np.nan)
+    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
+    shown = make_window(fit.bicycle, fit.settings, imu.time_ns[rows], rates, used.system.speed, known)
+    return replace(shown, system=used.system, steer_torque=known, delay=used.delay)
+
+
+def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
+    """Times (n,) [s] and both channels (n, 2) just before the free response.
+
+    The bicycle is upright enough there to take the gyroscopes as they are.
+    """
+    imu = fit.recording.imu
+    rows = np.flatnonzero(
+        (imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns)
+    )
+    rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
+    return (imu.time_ns[rows] - strike.start_ns) / 1e9, rates[:, [0, 2]]
