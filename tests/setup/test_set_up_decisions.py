@@ -223,11 +223,19 @@ def test_a_venv_of_the_users_own_is_left_alone(project, bash):
 
 
 def key(project: Path, bash) -> dict[str, str]:
-    done = bash(project, "choose_folders; ROS=/opt PYTHON=python3; build_key")
+    done = bash(project, 'choose_folders; ROS=/opt PYTHON=python3 FOLDERS=("$SOURCES"); build_key')
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0] == "/opt python3"
     return {path: digest for digest, path in (line.split("  ") for line in lines[1:])}
+
+
+def test_interfaces_that_ros_has_are_built_with_wheels_only(project, bash):
+    paths = 'choose_folders; choose_ros; printf "%s\\n" "${PATHS[@]##*/}"'
+    assert "tf2_msgs" in bash(project, paths, TMS_ROS="wheels").stdout.split()
+    sourced = 'choose_folders; sourced_ros() { echo /opt; }; choose_ros; printf "%s\\n" "${PATHS[@]##*/}"'
+    assert "tf2_msgs" not in bash(project, sourced).stdout.split()
+    assert "tms_msgs" in bash(project, sourced).stdout.split()
 
 
 @pytest.mark.parametrize(
