@@ -14,8 +14,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tms_model.frames import flip_axes, quaternion, rear_frame_to_imu
-from tms_model.imu import RearFrameMotion, ideal_imu, lean_and_yaw_rate
+from tms_model.frames import (
+    compose,
+    flip_axes,
+    inverse,
+    lean_and_heading,
+    quaternion,
+    rear_frame_to_imu,
+    rotation_matrix,
+)
+from tms_model.imu import RearFrameMotion, ideal_imu, lean_and_yaw_rate, magnetic_field
 
 G = 9.81
 STEP = 4e-3  # [s] of the five-point differences: errors of about 1e-9
@@ -23,7 +31,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 class Ride:
-    """A swerving, braking, leaning ride: angles and speed as functions of time; SAE signs."""
+    """A swerving, braking, leaning, skidding ride: angles and speeds as functions of time; SAE signs."""
 
     def lean(self, t: float) -> float:
         return 0.35 * math.sin(1.7 * t + 0.3)
@@ -34,6 +42,9 @@ class Ride:
     def speed(self, t: float) -> float:
         return 3.0 + 0.6 * math.sin(0.9 * t)
 
+    def slip(self, t: float) -> float:
+        return 0.3 * math.sin(2.3 * t)
+
     def motion(self, t: float) -> RearFrameMotion:
         columns = {
             "lean": self.lean(t),
@@ -43,11 +54,14 @@ class Ride:
             "yaw_acceleration": -0.8 * 1.1**2 * math.sin(1.1 * t),
             "speed": self.speed(t),
             "acceleration": 0.6 * 0.9 * math.cos(0.9 * t),
+            "rear_slip": self.slip(t),
+            "rear_slip_acceleration": 0.3 * 2.3 * math.cos(2.3 * t),
+            "yaw": self.yaw(t),
         }
         return RearFrameMotion(**{name: np.array([value]) for name, value in columns.items()})
 
     def contact(self, t: float) -> np.ndarray:
-        """Where the rear wheel touches the ground: the speed along the heading, by Gauss's rule."""
+        """Where the rear wheel touches the ground: speed along, slip across the heading, integrated."""
         place = np.zeros(3)
         edges = np.linspace(0.0, t, 8)
         for low, high in pairwise(edges):
@@ -55,7 +69,9 @@ class Ride:
                 s = low + 0.5 * (high - low) * (node + 1.0)
                 heading = -self.yaw(s)  # to the left positive
                 direction = np.array([math.cos(heading), math.sin(heading), 0.0])
-                place += 0.5 * (high - low) * weight * self.speed(s) * direction
+                to_the_right = np.array([math.sin(heading), -math.cos(heading), 0.0])
+                velocity = self.speed(s) * direction + self.slip(s) * to_the_right
+                place += 0.5 * (high - low) * weight * velocity
         return place
 
     def orientation(self, t: float) -> Rotation:
@@ -97,6 +113,30 @@ def test_along_a_known_ride(mounting_deg: tuple[float, ...], place: tuple[float,
     np.testing.assert_allclose(rear_frame_to_imu(force, orientation)[0], expected_force, atol=1e-7)
 
 
+@pytest.mark.parametrize("time", [0.0, 0.7, 2.9, 4.4])
+def test_magnetic_field_stays_where_it_is_while_the_frame_turns(time: float) -> None:
+    # In the world (x forward at the start, y left, z up) the field is the same at all times.
+    ride, at_start = Ride(), np.array([18e-6, -5e-6, 45e-6])  # SAE
+    field = flip_axes(magnetic_field(ride.motion(time), at_start))[0]
+    np.testing.assert_allclose(ride.orientation(time).apply(field), flip_axes(at_start), atol=1e-19)
+
+
+def test_quaternions_compose_and_invert_as_rotations_do() -> None:
+    first, second = quaternion(0.3, -0.7, 2.0), quaternion(-1.1, 0.2, 0.4)
+    np.testing.assert_allclose(
+        rotation_matrix(compose(first, second)), rotation_matrix(first) @ rotation_matrix(second), atol=1e-15
+    )
+    np.testing.assert_allclose(compose(first, inverse(first)), [0.0, 0.0, 0.0, 1.0], atol=1e-15)
+
+
+def test_lean_and_heading_are_read_back() -> None:
+    ride = Ride()
+    times = np.array([0.2, 0.9, 2.9])
+    found = lean_and_heading(np.array([ride.orientation(t).as_quat() for t in times]))
+    np.testing.assert_allclose(found[0], [ride.lean(t) for t in times], atol=1e-14)
+    np.testing.assert_allclose(found[1], [ride.yaw(t) for t in times], atol=1e-14)
+
+
 def motion(**values: float) -> RearFrameMotion:
     names = (
         "lean",
@@ -106,6 +146,9 @@ def motion(**values: float) -> RearFrameMotion:
         "yaw_acceleration",
         "speed",
         "acceleration",
+        "rear_slip",
+        "rear_slip_acceleration",
+        "yaw",
     )
     return RearFrameMotion(**{name: np.array([values.get(name, 0.0)]) for name in names})
 
@@ -140,6 +183,21 @@ def test_balanced_steady_turn_by_hand() -> None:
 def test_braking_pulls_back() -> None:
     _, force = ideal_imu(motion(speed=4.0, acceleration=-0.6), np.zeros(3), G)
     np.testing.assert_allclose(force[0], [-0.6, 0.0, -G])
+
+
+def test_pure_yaw_pulls_the_sensor_to_the_axis_and_swings_it() -> None:
+    # Spinning on the spot at 3 rad/s, faster by 2 rad/s^2: 0.4 m ahead of the axis 3^2 * 0.4 = 3.6 m/s^2
+    # backward and 2 * 0.4 = 0.8 m/s^2 to the right. The height above the ground does not matter.
+    rate, force = ideal_imu(motion(yaw_rate=3.0, yaw_acceleration=2.0), np.array([0.4, 0.0, -0.8]), G)
+    np.testing.assert_allclose(rate[0], [0.0, 0.0, 3.0])
+    np.testing.assert_allclose(force[0], [-3.6, 0.8, -G])
+
+
+def test_skidding_rear_wheel_is_felt() -> None:
+    # Sliding to the right at 0.5 m/s, faster by 1.2 m/s^2, while yawing right at 2 rad/s without rolling: the
+    # slide turns with the frame, 0.5 * 2 = 1 m/s^2 backward.
+    _, force = ideal_imu(motion(yaw_rate=2.0, rear_slip=0.5, rear_slip_acceleration=1.2), np.zeros(3), G)
+    np.testing.assert_allclose(force[0], [-1.0, 1.2, -G])
 
 
 def test_tipping_over_swings_the_sensor_sideways() -> None:

@@ -51,6 +51,40 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Array:
     )
 
 
+def compose(outer: Array, inner: Array) -> Array:
+    """Quaternion x, y, z, w of `inner` followed by `outer`: the rotation matrices multiply as outer @ inner.
+
+    Each (4,) or (n, 4).
+    """
+    ax, ay, az, aw = np.moveaxis(np.asarray(outer, dtype=float), -1, 0)
+    bx, by, bz, bw = np.moveaxis(np.asarray(inner, dtype=float), -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def inverse(quaternions: Array) -> Array:
+    """Inverse of unit quaternions x, y, z, w, (4,) or (n, 4)."""
+    conjugate: Array = np.asarray(quaternions, dtype=float) * [-1.0, -1.0, -1.0, 1.0]
+    return conjugate
+
+
+def lean_and_heading(quaternions: Array) -> tuple[Array, Array]:
+    """Lean and yaw [rad], SAE signs, each (n,), of frames given as quaternions (n, 4) in a REP-103 world.
+
+    The order of turning is yaw, pitch, lean.
+    """
+    x, y, z, w = np.moveaxis(np.asarray(quaternions, dtype=float), -1, 0)
+    lean = np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    return lean, -np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+
+
 def imu_to_rear_frame(vectors: Array, orientation: Array) -> Array:
     """Vectors (n, 3) in REP-103 axes of the imu frame -> SAE axes of the rear frame. NaN components stay NaN.
 

@@ -4,22 +4,28 @@ The rear frame yaws about the vertical and leans about the ground line through i
 of second order and left out. Body axes: SAE axes of the rear frame. With R = Rz(yaw) Rx(lean):
 
     angular velocity = (lean', yaw' sin lean, yaw' cos lean)
-    acceleration of the contact point, yawing axes = (v', v yaw', 0)       (no lateral slip of the rear wheel)
-    specific force = acceleration - gravity; upright at rest (0, 0, -g) in SAE axes, +g up.
+    velocity of the contact point, yawing axes = (v, s, 0)              (s: lateral slip of the rear wheel)
+    acceleration of the contact point, yawing axes = (v' - s yaw', v yaw' + s', 0)
+    specific force = acceleration - gravity; upright at rest (0, 0, -g) in SAE axes, +g up
+    magnetic field in the frame = R^T times the field in the axes of yaw 0.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tms_model.bicycle import Array
 
 
+def _zero() -> Array:
+    return np.zeros(1)
+
+
 @dataclass(frozen=True, eq=False)
 class RearFrameMotion:
-    """Motion of the rear frame; each field (n,), SAE signs."""
+    """Motion of the rear frame; each field (n,), SAE signs. Slip and heading are 0 unless given."""
 
     lean: Array  # [rad]
     lean_rate: Array  # [rad/s]
@@ -28,6 +34,11 @@ class RearFrameMotion:
     yaw_acceleration: Array  # [rad/s^2]
     speed: Array  # [m/s]
     acceleration: Array  # v' [m/s^2]
+    rear_slip: Array = field(
+        default_factory=_zero
+    )  # s [m/s], lateral speed of the rear contact, to the right
+    rear_slip_acceleration: Array = field(default_factory=_zero)  # s' [m/s^2]
+    yaw: Array = field(default_factory=_zero)  # [rad]
 
 
 def ideal_imu(motion: RearFrameMotion, position: Array, gravity: float) -> tuple[Array, Array]:
@@ -46,11 +57,24 @@ def ideal_imu(motion: RearFrameMotion, position: Array, gravity: float) -> tuple
         ],
         axis=1,
     )
-    sideways = motion.speed * motion.yaw_rate
-    contact = np.stack([motion.acceleration, sideways * cos, -sideways * sin], axis=1)
+    sideways = motion.speed * motion.yaw_rate + motion.rear_slip_acceleration
+    forward = motion.acceleration - motion.rear_slip * motion.yaw_rate
+    contact = np.stack([forward, sideways * cos, -sideways * sin], axis=1)
     weight = gravity * np.stack([np.zeros_like(sin), sin, cos], axis=1)
     lever = np.cross(rate_change, position) + np.cross(rate, np.cross(rate, position))
     return rate, contact + lever - weight
+
+
+def magnetic_field(motion: RearFrameMotion, field_at_start: Array) -> Array:
+    """Magnetic flux density (n, 3) [T] in SAE axes of the rear frame.
+
+    field_at_start: (3,) [T], in SAE axes of the upright frame at yaw 0 (x along the heading, z down).
+    """
+    sin, cos = np.sin(motion.lean), np.cos(motion.lean)
+    along, across, down = field_at_start
+    forward = along * np.cos(motion.yaw) + across * np.sin(motion.yaw) + np.zeros_like(sin)
+    right = across * np.cos(motion.yaw) - along * np.sin(motion.yaw)
+    return np.stack([forward, right * cos + down * sin, down * cos - right * sin], axis=1)
 
 
 def lean_and_yaw_rate(angular_velocity: Array, lean: Array) -> tuple[Array, Array]:
