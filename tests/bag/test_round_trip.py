@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tms_bag import BagReader, RecordingError, conversion, read_recording
+from tms_bag import BagReader, BagWriter, RecordingError, conversion, read_recording
 from tms_bag.messages import deserialize, serialize
-from tms_bag.samples import ImuSamples, SpeedSamples, in_time_order, selected
+from tms_bag.record import arriving
+from tms_bag.samples import ImuSamples, MagneticSamples, SpeedSamples, in_time_order, selected
 
 
 def assert_same(found, expected):
@@ -72,6 +73,52 @@ def test_a_gyroscope_that_says_it_is_absent_is_nan(run):
     assert np.isnan(samples.angular_velocity).all()
     assert np.isnan(samples.angular_velocity_variance[0])
     assert not np.isnan(samples.specific_force[0, 0])
+
+
+def test_an_orientation_makes_imu_data(run):
+    turned = np.random.default_rng(1).standard_normal((len(run.imu.time_ns), 4))
+    samples = dataclasses.replace(
+        run.imu, orientation=turned, orientation_variance=np.array([1e-4, 1e-4, 4e-4])
+    )
+    records = list(conversion.imu_records(samples))
+    assert {record.topic for record in records} == {"/imu/data"}
+    assert_same(conversion.imu_samples(records), samples)
+    assert conversion.imu_samples(conversion.imu_records(run.imu)).orientation is None
+
+
+def test_magnetic_field_comes_back():
+    rng = np.random.default_rng(2)
+    samples = MagneticSamples(np.arange(5) * 10**7, rng.standard_normal((5, 3)), np.array([1.0, 2.0, 3.0]))
+    assert_same(conversion.magnetic_samples(conversion.magnetic_records(samples)), samples)
+    assert conversion.magnetic_samples([]).magnetic_field.shape == (0, 3)
+
+
+def test_a_speed_with_its_variance_is_preferred(tmp_path, run):
+    # As a camera gives it: one speed, which both topics hold, and how sure it is.
+    speed = SpeedSamples(run.speed.time_ns[:1], run.speed.speed[:1], np.array([4e-4]))
+    with BagWriter(tmp_path / "bag") as bag:
+        for records in (
+            conversion.imu_records(run.imu),
+            conversion.speed_records(speed),
+            conversion.speed_covariance_records(speed),
+        ):
+            for record in records:
+                bag.write(record)
+    assert_same(read_recording(tmp_path / "bag").speed, speed)
+    chosen = read_recording(tmp_path / "bag", speed_topic="bicycle/speed").speed
+    assert np.isnan(chosen.variance).all()
+    np.testing.assert_array_equal(chosen.speed, speed.speed)
+
+
+def test_what_arrives_late_is_logged_late_and_keeps_its_stamp(run):
+    sent = list(conversion.imu_records(run.imu))[:4]
+    arrival = [sent[0].time_ns + 50, sent[0].time_ns + 20, sent[0].time_ns + 50, sent[0].time_ns + 60]
+    late = arriving(sent, arrival)
+    assert [record.data for record in late] == [sent[i].data for i in (1, 0, 2, 3)]
+    assert [record.time_ns for record in late] == sorted(arrival)
+    assert [record.publish_time_ns for record in late] == [sent[i].time_ns for i in (1, 0, 2, 3)]
+    found = conversion.imu_samples(late)  # stamps stay, out of order
+    np.testing.assert_array_equal(found.time_ns, run.imu.time_ns[[1, 0, 2, 3]])
 
 
 @pytest.mark.parametrize("time_ns", [-1, 2**31 * 10**9])

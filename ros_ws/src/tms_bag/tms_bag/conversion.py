@@ -3,7 +3,7 @@
 A live node, a replayed bag and an offline run all go through these functions. Topics are written with a
 leading slash. Variances stand on the diagonals of the covariances; 0 says "unknown" there (REP-145),
 so that a variance of exactly 0 comes back as NaN. `imu/data_raw` says by orientation_covariance[0] = -1
-that it has no orientation.
+that it has no orientation; samples with one go to `imu/data`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from tms_bag.samples import (
     ImuSamples,
     IntArray,
     LeanYawSamples,
+    MagneticSamples,
     RunInfo,
     SpeedSamples,
     StateSamples,
@@ -42,19 +43,28 @@ _LEAN_YAW = ("lean", "lean_rate", "yaw_rate")
 
 
 def imu_records(samples: ImuSamples) -> Iterator[Record]:
-    """sensor_msgs/Imu without orientation on /imu/data_raw."""
-    table = _table(topics.IMU, samples.time_ns, samples.frame_id)
-    table["orientation.w"] = 1.0
-    table["orientation_covariance"][:, 0] = -1.0
+    """sensor_msgs/Imu: on /imu/data_raw without orientation, on /imu/data with one."""
+    topic = topics.IMU if samples.orientation is None else topics.IMU_ORIENTED
+    table = _table(topic, samples.time_ns, samples.frame_id)
+    if samples.orientation is None:
+        table["orientation.w"] = 1.0
+        table["orientation_covariance"][:, 0] = -1.0
+    else:
+        for number, axis in enumerate("xyzw"):
+            table[f"orientation.{axis}"] = samples.orientation[:, number]
+        table["orientation_covariance"] = _covariance(samples.orientation_variance)
     _put_vectors(table, "angular_velocity", samples.angular_velocity)
     _put_vectors(table, "linear_acceleration", samples.specific_force)
     table["angular_velocity_covariance"] = _covariance(samples.angular_velocity_variance)
     table["linear_acceleration_covariance"] = _covariance(samples.specific_force_variance)
-    return _records(topics.IMU, samples.time_ns, table)
+    return _records(topic, samples.time_ns, table)
 
 
 def imu_samples(records: Iterable[Record]) -> ImuSamples:
-    """Angular velocity and specific force; NaN where the message says that it doesn't have one (REP-145)."""
+    """Angular velocity, specific force and orientation; NaN where a message says that it has none (REP-145).
+
+    Without orientation in any message it is None.
+    """
     table, frames = _read(topics.IMU, records)
     rates, forces = _vectors(table, "angular_velocity"), _vectors(table, "linear_acceleration")
     rate_covariance, force_covariance = (
@@ -65,6 +75,9 @@ def imu_samples(records: Iterable[Record]) -> ImuSamples:
     forces[force_covariance[:, 0] == -1.0] = np.nan
     if not frames:
         return ImuSamples(stamps(table), rates, forces)
+    absent = table["orientation_covariance"][:, 0] == -1.0
+    orientation = np.stack([_column(table, f"orientation.{axis}") for axis in "xyzw"], axis=1)
+    orientation[absent] = np.nan
     return ImuSamples(
         time_ns=stamps(table),
         angular_velocity=rates,
@@ -72,7 +85,26 @@ def imu_samples(records: Iterable[Record]) -> ImuSamples:
         angular_velocity_variance=_variance(rate_covariance[0]),
         specific_force_variance=_variance(force_covariance[0]),
         frame_id=frames[0],
+        orientation=None if absent.all() else orientation,
+        orientation_variance=_variance(table["orientation_covariance"][int(np.argmin(absent))]),
     )
+
+
+def magnetic_records(samples: MagneticSamples) -> Iterator[Record]:
+    """sensor_msgs/MagneticField on /imu/mag."""
+    table = _table(topics.MAGNETIC, samples.time_ns, samples.frame_id)
+    _put_vectors(table, "magnetic_field", samples.magnetic_field)
+    table["magnetic_field_covariance"] = _covariance(samples.magnetic_field_variance)
+    return _records(topics.MAGNETIC, samples.time_ns, table)
+
+
+def magnetic_samples(records: Iterable[Record]) -> MagneticSamples:
+    """Magnetic flux density."""
+    table, frames = _read(topics.MAGNETIC, records)
+    field = _vectors(table, "magnetic_field")
+    if not frames:
+        return MagneticSamples(stamps(table), field)
+    return MagneticSamples(stamps(table), field, _variance(table["magnetic_field_covariance"][0]), frames[0])
 
 
 def lean_yaw_records(samples: LeanYawSamples) -> Iterator[Record]:
@@ -105,6 +137,22 @@ def speed_samples(records: Iterable[Record]) -> SpeedSamples:
     """Forward speed."""
     table, _ = _read(topics.SPEED, records)
     return SpeedSamples(stamps(table), _column(table, "twist.linear.x"))
+
+
+def speed_covariance_records(samples: SpeedSamples) -> Iterator[Record]:
+    """geometry_msgs/TwistWithCovarianceStamped in rear_frame on /bicycle/speed_with_covariance."""
+    table = _table(topics.SPEED_COVARIANCE, samples.time_ns, REAR_FRAME)
+    table["twist.twist.linear.x"] = samples.speed
+    table["twist.covariance"][:, 0] = np.nan_to_num(samples.variance, nan=0.0)
+    return _records(topics.SPEED_COVARIANCE, samples.time_ns, table)
+
+
+def speed_covariance_samples(records: Iterable[Record]) -> SpeedSamples:
+    """Forward speed and its variance."""
+    table, _ = _read(topics.SPEED_COVARIANCE, records)
+    variance = np.array(table["twist.covariance"][:, 0], dtype=np.float64)
+    variance[~(variance > 0.0)] = np.nan
+    return SpeedSamples(stamps(table), _column(table, "twist.twist.linear.x"), variance)
 
 
 def steer_torque_records(samples: SteerTorqueSamples) -> Iterator[Record]:

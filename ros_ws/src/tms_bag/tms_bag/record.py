@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -24,3 +24,15 @@ def merged(*streams: Iterable[Record]) -> Iterator[Record]:
     Each stream must be in the order of log time itself.
     """
     return heapq.merge(*streams, key=lambda record: record.time_ns)
+
+
+def arriving(records: Iterable[Record], arrival_ns: Sequence[int]) -> list[Record]:
+    """The records in order of arrival: logged when they arrive [ns], sent at what was their log time.
+
+    One arrival for each record; records that arrive together keep their order.
+    """
+    late = [
+        replace(record, time_ns=int(arrival), publish_time_ns=record.time_ns)
+        for record, arrival in zip(records, arrival_ns, strict=True)
+    ]
+    return sorted(late, key=lambda record: record.time_ns)

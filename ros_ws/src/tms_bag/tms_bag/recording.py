@@ -66,7 +66,7 @@ def read_recording(
         torque_name = find_topic(bag, topics.STEER_TORQUE, steer_torque_topic, space)
         names = {
             topic: find_topic(bag, topic, None, space)
-            for topic in (topics.LEAN_YAW, topics.STATE, topics.RUN_INFO)
+            for topic in (topics.LEAN_YAW, topics.STATE, topics.RUN_INFO, topics.SPEED_COVARIANCE)
         }
         names |= {topics.IMU: imu_name, topics.SPEED: speed_name, topics.STEER_TORQUE: torque_name}
         records = _records(bag, {name: topic for topic, name in names.items() if name})
@@ -75,6 +75,9 @@ def read_recording(
         torque, repeated_torque = _optional(
             bag, records.get(topics.STEER_TORQUE), conversion.steer_torque_samples
         )
+        known = records.get(topics.SPEED_COVARIANCE)
+        if known and (speed is None or speed_topic is None):  # the same speeds, with their variance
+            speed, repeated_speed = _optional(bag, known, conversion.speed_covariance_samples)
         info = records.get(topics.RUN_INFO)
         return Recording(
             path=Path(path),

@@ -53,6 +53,21 @@ class ImuSamples:
         default_factory=_unknown_variance
     )  # (3,) [m^2/s^4], NaN: unknown
     frame_id: str = "imu_link"
+    # (n, 4) quaternion x, y, z, w of the sensor in the world (x east, y north, z up); None: it has none
+    orientation: FloatArray | None = None
+    orientation_variance: FloatArray = field(
+        default_factory=_unknown_variance
+    )  # (3,) [rad^2] about the world's axes, NaN: unknown
+
+
+@dataclass(frozen=True, eq=False)
+class MagneticSamples:
+    """Readings of a magnetometer, in its own axes (REP-103)."""
+
+    time_ns: IntArray  # (n,) [ns]
+    magnetic_field: FloatArray  # (n, 3) [T]
+    magnetic_field_variance: FloatArray = field(default_factory=_unknown_variance)  # (3,) [T^2], NaN: unknown
+    frame_id: str = "imu_link"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +83,15 @@ class LeanYawSamples:
 
 @dataclass(frozen=True, eq=False)
 class SpeedSamples:
-    """Forward speed."""
+    """Forward speed; what is left out is NaN."""
 
     time_ns: IntArray  # (n,) [ns]
     speed: FloatArray  # (n,) [m/s]
+    variance: FloatArray = field(default_factory=_none)  # (n,) [m^2/s^2], NaN: unknown
+
+    def __post_init__(self) -> None:
+        if len(self.variance) == 0 and self.time_ns.size:
+            object.__setattr__(self, "variance", np.full(self.time_ns.size, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +153,18 @@ class RunInfo:
     configuration: str = ""  # resolved, as YAML
 
 
-Samples = TypeVar("Samples", ImuSamples, LeanYawSamples, SpeedSamples, SteerTorqueSamples, StateSamples)
+Samples = TypeVar(
+    "Samples", ImuSamples, MagneticSamples, LeanYawSamples, SpeedSamples, SteerTorqueSamples, StateSamples
+)
 
-_PER_RUN = frozenset({"angular_velocity_variance", "specific_force_variance"})
+_PER_RUN = frozenset(
+    {
+        "angular_velocity_variance",
+        "specific_force_variance",
+        "orientation_variance",
+        "magnetic_field_variance",
+    }
+)
 
 
 def selected(samples: Samples, rows: IntArray | NDArray[np.bool_] | slice) -> Samples:
