@@ -85,9 +85,9 @@ class Bicycle:
     def numbers(self) -> dict[str, float]:
         """All numbers that define this bicycle by name, SI units and radians, in a fixed order.
 
-        Steer elements stand at the end, and only if there are any. Inertias that aren't known are left out.
+        Steer elements that do something stand at the end. Inertias that aren't known are left out.
         """
-        elements = asdict(self.steer_elements) if self.steer_elements.present else {}
+        elements = self.steer_elements.acting
         if self.parameters is not None:
             known = {k: value for k, value in asdict(self.parameters).items() if not math.isnan(value)}
             return {**known, **elements}

@@ -27,7 +27,7 @@ _UNITS = {  # by the last word that names a quantity
     "K0": "kg m",
     "K2": "kg",
 }
-_GAINS = {"lean_gain": "N m/rad", "lean_rate_gain": "N m s/rad"}
+_GAINS = {"lean_gain": "N m/rad", "lean_rate_gain": "N m s/rad", "steer_torque_gain": "1"}
 
 
 def unit(name: str) -> str:

@@ -62,7 +62,8 @@ def nonlinear_response(
     rates(bicycle, start, load)
     last_state, last_time = start, 0.0
     for rows in _held(len(times), steer_torque):
-        torque = 0.0 if steer_torque is None else float(steer_torque[max(rows.start - 1, 0)])
+        known = 0.0 if steer_torque is None else float(steer_torque[max(rows.start - 1, 0)])
+        torque = bicycle.steer_elements.steer_torque_gain * known
         held = replace(load, steer_torque=load.steer_torque + torque)
         run = _Run(bicycle, held, tolerance, last_time, last_state)
         run.fill(times[rows], states[rows])

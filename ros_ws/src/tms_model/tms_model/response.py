@@ -28,7 +28,7 @@ class LinearSystem:
     """x' = a x + b T_steer and yaw rate = yaw x, x in the order of STATE."""
 
     a: Array  # (4, 4)
-    b: Array  # (4,), per N m of steer torque
+    b: Array  # (4,), per N m of known steer torque
     yaw: Array  # (4,), yaw rate per state, Eq. (10.2)
     speed: float  # v [m/s]
 
@@ -36,11 +36,11 @@ class LinearSystem:
 def state_matrix(bicycle: Bicycle, speed: float | Array, lean_rate_gain: float = 0.0) -> Array:
     """State matrix (4, 4) of Eq. (3.1) at constant speed [m/s]; (n, 4, 4) at each of n speeds.
 
-    The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller does
-    in this run, T_steer = lean_rate_gain * lean rate; positive steers into the fall.
+    The bicycle's own steer elements are in; lean_rate_gain [N m s/rad] adds to theirs what a controller
+    commands in this run, T_known = lean_rate_gain * lean rate; positive steers into the fall.
     """
     damping = bicycle.damping_at(speed)
-    damping[..., 1, 0] -= lean_rate_gain
+    damping[..., 1, 0] -= bicycle.steer_elements.steer_torque_gain * lean_rate_gain
     return first_order(bicycle.mass, damping, bicycle.stiffness_at(speed))
 
 
@@ -54,8 +54,9 @@ def first_order(mass: Array, damping: Array, stiffness: Array) -> Array:
 
 
 def torque_column(bicycle: Bicycle) -> Array:
-    """Change of the state (4,) per second and N m of steer torque."""
-    return np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, 1.0])])
+    """Change of the state (4,) per second and N m of known steer torque."""
+    arrives = bicycle.steer_elements.steer_torque_gain
+    return np.concatenate([np.zeros(2), np.linalg.solve(bicycle.mass, [0.0, arrives])])
 
 
 def yaw_row(bicycle: Bicycle, speed: float | Array) -> Array:

@@ -60,7 +60,7 @@ def respond(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
                 f"{name.replace('_', '-')}: expected a finite number, found {getattr(arguments, name):g}"
             )
     elements = bicycle.steer_elements
-    gain = elements.lean_rate_gain + arguments.gain
+    gain = elements.lean_rate_gain + elements.steer_torque_gain * arguments.gain
     acting = replace(bicycle, steer_elements=replace(elements, lean_rate_gain=gain))
     solve = _nonlinear if arguments.nonlinear else _varying if arguments.deceleration else _constant
     series, notes = solve(acting, arguments, times)
