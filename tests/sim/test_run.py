@@ -211,7 +211,8 @@ def test_accelerometer_stops_at_two_g_and_says_so(orientation: tuple[float, ...]
 def test_violent_yaw_turns_gyroscope_flags_on(monkeypatch: pytest.MonkeyPatch) -> None:
     # No shipped sensor has a limit on its gyroscopes; one of 0.3 rad/s is reached in lean (x, flag 8) and yaw
     # (z, flag 32).
-    limited = replace(load_imu("ideal"), gyroscope_limit=0.3)
+    ideal = load_imu("ideal")
+    limited = replace(ideal, gyroscope=replace(ideal.gyroscope, limit=0.3))
     monkeypatch.setattr("tms_sim.run.load_imu", lambda name: limited)
     result = run()
     truth = result.state

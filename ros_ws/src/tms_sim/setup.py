@@ -12,7 +12,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.10,<3.14",
-    install_requires=["setuptools", "numpy>=1.26", "PyYAML>=6"],
+    install_requires=["setuptools", "imufusion>=1.2,<2", "numpy>=1.26", "PyYAML>=6", "scipy>=1.11"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="TMS maintainers",

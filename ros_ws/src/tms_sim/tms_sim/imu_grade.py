@@ -1,10 +1,17 @@
-"""Inertial sensors as data: noise and limits, one YAML file each in the folder `imus/`."""
+"""Inertial sensors as data: one YAML file each in `imus/`, with Kalibr's names and units.
+
+Kalibr's four noise terms and its update_rate must stand there, so that one of its files can be pasted; all
+other errors are 0 where they're left out (`tms_sim.sensors.errors.SensorErrors`), and Kalibr's rostopic is
+ignored.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +19,77 @@ from tms_model import ParameterError
 from tms_model.bicycle import Array
 from tms_model.catalogue import check_keys, number, read_yaml
 
+from tms_sim.sensors.errors import SensorErrors
+
 FOLDER = Path(__file__).parent / "imus"
+TEXT = ("description", "source", "uncertainty")
+TRIADS = ("gyroscope", "accelerometer", "magnetometer")
+ERRORS = tuple(entry.name for entry in fields(SensorErrors))
+_KALIBR = tuple(f"{triad}_{error}" for triad in TRIADS[:2] for error in ("noise_density", "random_walk"))
 
 
 @dataclass(frozen=True)
 class ImuGrade:
-    """What a sensor adds to the truth. Names and units of the noise densities are Kalibr's."""
+    """What a sensor adds to the truth, in rad/s, m/s^2 and T."""
 
-    gyroscope_noise_density: float  # [rad/s/sqrt(Hz)]
-    gyroscope_limit: float  # [rad/s] per axis, infinite: none
-    accelerometer_noise_density: float  # [m/s^2/sqrt(Hz)]
-    accelerometer_limit: float  # [m/s^2] per axis, infinite: none
+    gyroscope: SensorErrors
+    accelerometer: SensorErrors
+    magnetometer: SensorErrors
+    update_rate: float  # [Hz] at which the sensor is usually run
+
+    def only(self, kept: Collection[str]) -> ImuGrade:
+        """The same sensor with no other errors than those of ERRORS that are kept. Raises ParameterError."""
+        if unknown := sorted(set(kept) - set(ERRORS)):
+            raise ParameterError(
+                f"imu.errors: expected 'all', 'none' or some of {', '.join(ERRORS)}, found"
+                f" {', '.join(unknown)}"
+            )
+        return ImuGrade(
+            _only(self.gyroscope, kept),
+            _only(self.accelerometer, kept),
+            _only(self.magnetometer, kept),
+            self.update_rate,
+        )
+
+    @property
+    def gyroscope_noise_density(self) -> float:
+        """[rad/s/sqrt(Hz)]."""
+        return self.gyroscope.noise_density
+
+    @property
+    def gyroscope_limit(self) -> float:
+        """[rad/s] per axis, infinite: none."""
+        return self.gyroscope.limit
+
+    @property
+    def accelerometer_noise_density(self) -> float:
+        """[m/s^2/sqrt(Hz)]."""
+        return self.accelerometer.noise_density
+
+    @property
+    def accelerometer_limit(self) -> float:
+        """[m/s^2] per axis, infinite: none."""
+        return self.accelerometer.limit
 
     def gyroscope_std(self, rate: float) -> float:
         """Standard deviation of one sample [rad/s] at a sample rate [Hz]."""
-        return self.gyroscope_noise_density * math.sqrt(rate)
+        return self.gyroscope.noise_density * math.sqrt(rate)
 
     def accelerometer_std(self, rate: float) -> float:
         """Standard deviation of one sample [m/s^2] at a sample rate [Hz]."""
-        return self.accelerometer_noise_density * math.sqrt(rate)
+        return self.accelerometer.noise_density * math.sqrt(rate)
+
+
+def measure(
+    truth: Array, std: float, limit: float, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Readings (n, 3): truth (n, 3) plus white noise, cut off at +-limit; and which were cut off (n, 3)."""
+    noisy = truth + std * rng.standard_normal(truth.shape)
+    return np.clip(noisy, -limit, limit), np.abs(noisy) >= limit
+
+
+def _only(errors: SensorErrors, kept: Collection[str]) -> SensorErrors:
+    return SensorErrors(**{name: getattr(errors, name) for name in kept})
 
 
 def imu_names() -> list[str]:
@@ -44,21 +103,41 @@ def load_imu(name: str) -> ImuGrade:
         raise ParameterError(f"imu.grade: unknown sensor {name!r}; expected one of {', '.join(imu_names())}")
     path = FOLDER / f"{name}.yaml"
     document = read_yaml(path)
-    densities = ("gyroscope_noise_density", "accelerometer_noise_density")
-    limits = ("gyroscope_limit", "accelerometer_limit")
-    check_keys(document, ("description", "source", "uncertainty", *densities, *limits), str(path))
-    values = {key: number(document[key], f"{path}: {key}") for key in densities}
-    for key in limits:
-        values[key] = math.inf if document[key] is None else number(document[key], f"{path}: {key}")
-    for key, value in values.items():
-        if value < 0.0 or (key in limits and value == 0.0):
-            raise ParameterError(f"{path}: {key}: expected a positive number, found {value:g}")
-    return ImuGrade(**values)
+    optional = tuple(f"{triad}_{error}" for triad in TRIADS for error in ERRORS)
+    check_keys(
+        document,
+        (*TEXT, *_KALIBR, "update_rate"),
+        str(path),
+        ("rostopic", *(key for key in optional if key not in _KALIBR)),
+    )
+    errors = {triad: _errors(document, triad, str(path)) for triad in TRIADS}
+    return ImuGrade(**errors, update_rate=_size(document["update_rate"], f"{path}: update_rate"))
 
 
-def measure(
-    truth: Array, std: float, limit: float, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Readings (n, 3): truth (n, 3) plus white noise, cut off at +-limit; and which were cut off (n, 3)."""
-    noisy = truth + std * rng.standard_normal(truth.shape)
-    return np.clip(noisy, -limit, limit), np.abs(noisy) >= limit
+def error_names(text: str) -> tuple[str, ...]:
+    """Which errors a text asks for: 'all', 'none', or names with commas between."""
+    if text.strip() == "all":
+        return ERRORS
+    return () if text.strip() == "none" else tuple(part.strip() for part in text.split(","))
+
+
+def _errors(document: dict[str, Any], triad: str, where: str) -> SensorErrors:
+    values = {}
+    for name in ERRORS:
+        key = f"{triad}_{name}"
+        if name == "limit":
+            values[name] = (
+                math.inf
+                if document.get(key) is None
+                else _size(document[key], f"{where}: {key}", least=1e-12)
+            )
+        elif key in document:
+            values[name] = _size(document[key], f"{where}: {key}")
+    return SensorErrors(**values)
+
+
+def _size(value: Any, where: str, least: float = 0.0) -> float:
+    size = number(value, where)
+    if size < least:
+        raise ParameterError(f"{where}: expected a positive number, found {size:g}")
+    return size
