@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from tms_bag import BagReader, BagWriter, RecordingError, conversion, read_recording
+from tms_bag.event import Event, event_records, events
 from tms_bag.messages import deserialize, serialize
 from tms_bag.record import arriving
 from tms_bag.samples import ImuSamples, MagneticSamples, SpeedSamples, in_time_order, selected
@@ -108,6 +109,18 @@ def test_a_speed_with_its_variance_is_preferred(tmp_path, run):
     chosen = read_recording(tmp_path / "bag", speed_topic="bicycle/speed").speed
     assert np.isnan(chosen.variance).all()
     np.testing.assert_array_equal(chosen.speed, speed.speed)
+
+
+def test_events_come_back():
+    listed = [
+        Event(10**9, "strike", "struck to the right", 0.01, {"lean_rate_rad_s": 0.5, "impulse_N_s": 2.0}),
+        Event(2 * 10**9, "fault", "nothing arrives"),
+    ]
+    records = list(event_records(listed))
+    assert [(r.topic, r.type, r.time_ns) for r in records] == [
+        ("/bicycle/events", "tms_msgs/msg/Event", event.time_ns) for event in listed
+    ]
+    assert events(records) == listed
 
 
 def test_what_arrives_late_is_logged_late_and_keeps_its_stamp(run):

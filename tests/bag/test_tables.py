@@ -8,7 +8,10 @@ from tms_bag import topics
 from tms_bag.messages import _store, deserialize, message_type, serialize
 from tms_bag.tables import MessageError, new_table, read_table, rows, stamps
 
-TYPES = [*sorted(set(topics.TYPES.values()) - {"tms_msgs/msg/RunInfo"}), "tms_msgs/msg/FilterState"]
+TYPES = [
+    *sorted(set(topics.TYPES.values()) - {"tms_msgs/msg/RunInfo", "tms_msgs/msg/Event"}),
+    "tms_msgs/msg/FilterState",
+]
 FRAMES = ["", "a", "imu_link", "rear_frame", "a name of 23 letters...", "Rad/größe"]
 
 

@@ -15,6 +15,7 @@ SPEED = "bicycle/speed"
 SPEED_COVARIANCE = "bicycle/speed_with_covariance"
 STEER_TORQUE = "bicycle/steer_torque"
 STATE = "bicycle/state"
+EVENTS = "bicycle/events"
 RUN_INFO = "run_info"
 
 TYPES: dict[str, str] = {
@@ -26,6 +27,7 @@ TYPES: dict[str, str] = {
     SPEED_COVARIANCE: "geometry_msgs/msg/TwistWithCovarianceStamped",
     STEER_TORQUE: "tms_msgs/msg/SteerTorque",
     STATE: "tms_msgs/msg/BicycleState",
+    EVENTS: "tms_msgs/msg/Event",
     RUN_INFO: "tms_msgs/msg/RunInfo",
 }
 
