@@ -187,3 +187,9 @@ def test_absurd_but_finite_numbers_are_one_line(arguments: tuple[str, ...]) -> N
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("error: ")
+
+
+def test_urdf(command: Any, answer: Any) -> None:
+    text = command("tms_model", "urdf", "tms_eq_10_1").out  # drawn with the parameters that stand in for it
+    assert text.startswith('<robot name="tms_eq_10_1">')
+    assert answer("urdf", "tms_eq_10_1") == {"bicycle": "tms_eq_10_1", "urdf": text}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tms_model import response_commands, stability_commands
+from tms_model.acceleration import parameters_under_acceleration as parameters_of
 from tms_model.bicycle import Bicycle
 from tms_model.catalogue import bicycle_names, load_bicycle
 from tms_model.changes import parse_changes, with_parameters
@@ -16,6 +17,7 @@ from tms_model.description import show
 from tms_model.parameters import ParameterError
 from tms_model.response_commands import print_linearity, respond
 from tms_model.stability_commands import print_eigenvalues, print_stability
+from tms_model.urdf import urdf
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -43,6 +45,7 @@ def _parser() -> Parser:
         "stability": "stable speed ranges, weave and capsize speed",
         "response": "free response to an initial lean rate, linear or nonlinear",
         "linearity": "lean angles at which the nonlinear motion departs from the linear prediction",
+        "urdf": "the bicycle for viewers such as RViz and Foxglove",
         "plot": "figure of the eigenvalues against speed with the bicycle to scale, or another one",
     }
     subparsers = {
@@ -97,6 +100,15 @@ def _matrices(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
         )
 
 
+def _urdf(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
+    parameters, _ = parameters_of(bicycle)
+    text = urdf(parameters, bicycle.name)
+    if arguments.json:
+        print_json({"bicycle": bicycle.name, "urdf": text})
+    else:
+        print(text, end="")
+
+
 def _plot(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     # matplotlib takes a second to import: only who plots pays for it
     from tms_model.figures import FIGURES
@@ -114,6 +126,7 @@ COMMANDS = {
     "stability": print_stability,
     "response": respond,
     "linearity": print_linearity,
+    "urdf": _urdf,
     "plot": _plot,
 }
 
