@@ -1,4 +1,4 @@
-"""Events of a simulated run, part of the truth: what an experimenter would not see in the samples by itself."""
+"""Events of a simulated run, part of the truth: what one would not see in the samples by themselves."""
 
 from __future__ import annotations
 

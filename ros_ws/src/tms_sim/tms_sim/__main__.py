@@ -11,6 +11,7 @@ from tms_bag import BagWriter, RecordingError, topics
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 
+from tms_sim.fault_command import fault, fault_arguments
 from tms_sim.run import simulate
 from tms_sim.scenario import description, load_scenario, parse_change, scenario_names
 
@@ -20,6 +21,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
     if arguments.command == "list":
         _list(arguments)
+    elif arguments.command == "fault":
+        fault(arguments)
     else:
         _run(arguments)
 
@@ -29,6 +32,8 @@ def _parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser("list", help="scenarios", description="scenarios")
     one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    text = "put faults into a recording, each told as an event of the truth"
+    fault_arguments(commands.add_parser("fault", help=text, description=text))
     one = commands.add_parser(
         "run", help="run a scenario into a bag", description="run a scenario into a bag"
     )
