@@ -44,9 +44,9 @@ ROSDEP_KEYS = {
     "zstandard": "mcap-ros2-support",
 }
 # rosdep has no key for these; README says how they come.
-NOT_IN_ROSDEP = {"imufusion"}
+NOT_IN_ROSDEP = {"imufusion", "vl_convert"}
 # What a name that is imported is called by pip, where the two differ.
-PIP_NAMES = {"yaml": "PyYAML"}
+PIP_NAMES = {"vl_convert": "vl-convert-python", "yaml": "PyYAML"}
 
 
 def name_of(path: Path) -> str:
@@ -205,7 +205,7 @@ def test_package_xml_names_what_is_imported(package: str) -> None:
     depends = {element.text for element in tree(package) if element.tag in ("depend", "exec_depend")}
     assert {ROSDEP_KEYS.get(top, top) for top in foreign - NOT_IN_ROSDEP} <= depends
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(f"pip install {top}" in readme for top in foreign & NOT_IN_ROSDEP)
+    assert all(f"pip install {PIP_NAMES.get(top, top)}" in readme for top in foreign & NOT_IN_ROSDEP)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

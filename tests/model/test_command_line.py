@@ -132,7 +132,7 @@ REFUSED = {
     "figure of another kind": (["plot", "benchmark", "-o", "figure.jpg"], "ends in .png, .svg or .pdf"),
     "figure in a file": (
         ["plot", "benchmark", "-o", "/dev/null/figure.png"],
-        "expected a place to write a figure",
+        "expected a place to write a file",
     ),
     "unknown question": (["fly", "benchmark"], "invalid choice: 'fly'"),
     "no question": ([], "required"),

@@ -9,13 +9,12 @@ from pathlib import Path
 
 from tms_bag import RecordingError, read_recording
 from tms_model import ParameterError
-from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
-from tms_fit.settings import DEFAULT_FREE, PARAMETERS, SPEED_MODELS, STEER_TORQUES, FitSettings
+from tms_fit.settings import DEFAULT_FREE, LINEAR, FitSettings
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -27,6 +26,17 @@ def main(argv: Sequence[str] | None = None) -> None:
             print_json(to_json(fit))
         else:
             print(to_table(fit))
+    elif arguments.command == "report":
+        fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
+        try:
+            import vl_convert  # noqa: F401  # here, since rosdep doesn't know it: all else works without
+        except ImportError as error:
+            raise ParameterError(
+                "report: needs vl-convert-python, which isn't installed: pip install vl-convert-python"
+            ) from error
+        from tms_fit.report.files import write_report
+
+        write_report(fit, Path(arguments.output), Path(arguments.figures) if arguments.figures else None)
     else:
         estimator = arguments.estimator[0] if arguments.estimator else "least_squares"
         fit = _fit(arguments, (estimator,))
@@ -45,6 +55,7 @@ def _parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True)
     texts = {
         "run": "find the strikes of a bag and fit each",
+        "report": "one HTML file to look at and to print: figures, tables, animation",
         "figure3b": "figure of measured and predicted lean and yaw rate (PNG, SVG, PDF)",
     }
     for name, text in texts.items():
@@ -59,12 +70,43 @@ def _parser() -> Parser:
             choices=list(ESTIMATORS),
             help="may be repeated (default: least_squares, kalman_rts)",
         )
-        _add_fit_arguments(command)
+        command.add_argument(
+            "--free",
+            type=_names,
+            metavar="NAME,...",
+            help=f"of {', '.join(LINEAR)} (default: {','.join(DEFAULT_FREE)})",
+        )
+        command.add_argument(
+            "--fix",
+            action="append",
+            default=[],
+            type=_assignment,
+            metavar="NAME=VALUE",
+            help="a parameter, or speed [m/s]",
+        )
+        command.add_argument(
+            "--window",
+            type=float,
+            default=FitSettings.window,
+            help="longest free response used [s] (default %(default)s)",
+        )
+        command.add_argument(
+            "--steer-torque",
+            choices=("auto", "feedback", "input", "ignore"),
+            default=FitSettings.steer_torque,
+            help="how a known steer torque enters (default: feedback where it is proportional to the lean"
+            " rate, else input)",
+        )
         command.add_argument("--imu-topic", help="topic of type sensor_msgs/msg/Imu")
         command.add_argument("--speed-topic", help="topic of type geometry_msgs/msg/TwistStamped")
         command.add_argument("--steer-torque-topic", help="topic of type tms_msgs/msg/SteerTorque")
         if name == "run":
             command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+        elif name == "report":
+            command.add_argument("-o", "--output", required=True, help="file to write, .html")
+            command.add_argument(
+                "--figures", metavar="DIR", help="folder for every figure as PNG, SVG and PDF, for papers"
+            )
         else:
             command.add_argument("-o", "--output", required=True, help="file to write, .png, .svg or .pdf")
             command.add_argument(
@@ -73,75 +115,12 @@ def _parser() -> Parser:
     return parser
 
 
-def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
-    """What is found, what is known, and with which model of the run."""
-    command.add_argument(
-        "--free",
-        type=_names,
-        metavar="NAME,...",
-        help=f"parameters to find, of {', '.join(PARAMETERS)} (default: {','.join(DEFAULT_FREE)})",
-    )
-    command.add_argument(
-        "--fix",
-        action="append",
-        default=[],
-        type=_assignment,
-        metavar="NAME=VALUE",
-        help="a parameter that is known, SI units; may be repeated",
-    )
-    command.add_argument(
-        "--prior",
-        action="append",
-        default=[],
-        type=_prior,
-        metavar="NAME=MEAN,STD",
-        help="a free parameter of which something is known beforehand; may be repeated",
-    )
-    command.add_argument(
-        "--window",
-        type=float,
-        default=FitSettings.window,
-        help="longest free response used [s] (default %(default)s)",
-    )
-    command.add_argument(
-        "--channels",
-        type=_names,
-        default=FitSettings.channels,
-        metavar="NAME,...",
-        help="rates to compare with the model (default: lean_rate,yaw_rate)",
-    )
-    command.add_argument(
-        "--speed-model",
-        choices=SPEED_MODELS,
-        default=FitSettings.speed_model,
-        help="the speed after the strike: as measured, constant, falling by rolling resistance, or auto: as"
-        " measured where the samples show beyond doubt that it changes, else constant (default %(default)s)",
-    )
-    command.add_argument(
-        "--resistance",
-        choices=RESISTANCES,
-        default=FitSettings.resistance,
-        help="by what a speed that changes is changed (default %(default)s)",
-    )
-    command.add_argument(
-        "--steer-torque",
-        choices=STEER_TORQUES,
-        default=FitSettings.steer_torque,
-        help="how a known steer torque enters (default: feedback where it is proportional to the lean"
-        " rate, else input)",
-    )
-
-
 def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> RecordingFit:
     settings = FitSettings(
         free=arguments.free,
         fixed=dict(arguments.fix),
         window=arguments.window,
-        priors=dict(arguments.prior),
         steer_torque=arguments.steer_torque,
-        speed_model=arguments.speed_model,
-        resistance=arguments.resistance,
-        channels=arguments.channels,
         estimators=estimators,
     )
     recording = read_recording(
@@ -152,17 +131,6 @@ def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> Recordin
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _prior(text: str) -> tuple[str, tuple[float, float]]:
-    name, equals, numbers = text.partition("=")
-    mean, comma, std = numbers.partition(",")
-    try:
-        if equals and comma:
-            return name.strip(), (float(mean), float(std))
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with two numbers, found {text!r}")
 
 
 def _assignment(text: str) -> tuple[str, float]:

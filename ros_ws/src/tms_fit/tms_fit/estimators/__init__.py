@@ -1,6 +1,7 @@
 """The estimators by name. A new one: one file here and one line below.
 
-Each is a function (window, settings) -> Estimate.
+Each is a function (window, free, fixed) -> Estimate: `free` names the parameters to estimate, `fixed` gives
+values of others.
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ from collections.abc import Callable
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
-from tms_fit.settings import FitSettings, check_known
+from tms_fit.settings import check_known
 from tms_fit.window import Window
 
-Estimator = Callable[[Window, FitSettings], Estimate]
+Estimator = Callable[[Window, tuple[str, ...], dict[str, float]], Estimate]
 
 ESTIMATORS: dict[str, Estimator] = {
-    "least_squares": least_squares.fit_window,
+    "least_squares": least_squares.estimate,
     "kalman_rts": kalman_rts.estimate,
     "som2011": som2011.estimate,
 }

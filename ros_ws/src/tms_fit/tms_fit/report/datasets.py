@@ -1,0 +1,140 @@
+"""The numbers behind a strike's charts, by the names that the specifications use.
+
+Columns of floats, NaN as None. Six significant digits are more than a screen or a page shows; the tables
+carry the full ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from tms_bag.samples import StateSamples
+from tms_model import Bicycle, Stability, double_roots, follow_modes
+from tms_model.bicycle import Array
+
+from tms_fit.comparison import BEFORE, Comparison
+from tms_fit.offline import RecordingFit
+from tms_fit.report.chart import Columns
+from tms_fit.settings import CHANNELS
+
+HIGHEST_SPEED = 10.0  # [m/s] of the eigenvalues' axis, or more when the run was faster
+CURVES = 101  # speeds of the eigenvalues' curves
+CLOSE = (0.95, 0.99, 0.999, 1.001, 1.01, 1.05)  # shares of a speed where modes meet: curves are steep there
+NORMAL = 61  # points of the normal curve
+
+
+def column(values: Iterable[float]) -> list[float | None]:
+    """Floats as JSON has them, to six significant digits."""
+    return [float(f"{value:.6g}") if math.isfinite(value) else None for value in map(float, values)]
+
+
+def series(both: Comparison) -> Columns:
+    """Measured and predicted rates with the band; before the free response only what was measured."""
+    time = np.concatenate([both.before_time, both.time])
+    nothing = np.full((len(both.before_time), 2), np.nan)
+    measured = np.concatenate([both.before, both.measured])
+    predicted = np.concatenate([nothing, both.predicted])
+    half = np.concatenate([nothing, both.half])
+    columns: Columns = {"time": column(time)}
+    for channel, name in enumerate(CHANNELS):
+        columns[name] = column(measured[:, channel])
+        columns[f"{name}_predicted"] = column(predicted[:, channel])
+        columns[f"{name}_low"] = column((predicted - half)[:, channel])
+        columns[f"{name}_high"] = column((predicted + half)[:, channel])
+    return columns
+
+
+def window(both: Comparison) -> Columns:
+    """The stretch used for the fit."""
+    return {"start": [0.0], "end": column([both.end])}
+
+
+def truth(state: StateSamples, start_ns: int, last: float) -> Columns:
+    """True rates and speed of a simulated bicycle around a strike."""
+    seconds = (state.time_ns - start_ns) / 1e9
+    rows = np.flatnonzero((seconds >= -BEFORE) & (seconds <= last))
+    return {
+        "time": column(seconds[rows]),
+        "lean_rate": column(state.state[rows, 2]),
+        "yaw_rate": column(state.yaw_rate[rows]),
+        "speed": column(state.speed[rows]),
+    }
+
+
+def speed_samples(fit: RecordingFit, start_ns: int, last: float) -> Columns | None:
+    """Readings of the speed sensor around a strike."""
+    if fit.recording.speed is None:
+        return None
+    seconds = (fit.recording.speed.time_ns - start_ns) / 1e9
+    rows = np.flatnonzero((seconds >= -BEFORE) & (seconds <= last))
+    return {"time": column(seconds[rows]), "speed": column(fit.recording.speed.speed[rows])}
+
+
+def residuals(both: Comparison, residual: Array) -> Columns:
+    """Residuals (n, 2) of the samples used."""
+    time = both.used.time + both.used.delay
+    return {
+        "time": column(time),
+        **{name: column(residual[:, channel]) for channel, name in enumerate(CHANNELS)},
+    }
+
+
+def histogram(residual: Array, std: float) -> tuple[Columns, Columns]:
+    """Counts of the residuals (n,) of one channel, and the normal curve of that deviation and count."""
+    good = residual[np.isfinite(residual)]
+    counts, edges = np.histogram(good, bins=min(max(len(good) // 12, 5), 30))
+    width = edges[1] - edges[0]
+    reach = max(float(np.abs(edges).max()), 3.0 * std)
+    at = np.linspace(-reach, reach, NORMAL)
+    normal = len(good) * width * np.exp(-0.5 * (at / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+    bars = {"low": column(edges[:-1]), "high": column(edges[1:]), "count": column(counts)}
+    return bars, {"residual": column(at), "count": column(normal)}
+
+
+def with_feedback(bicycle: Bicycle, gain: float) -> Bicycle:
+    """The bicycle with a run's lean-rate feedback on the steer torque among its steer elements."""
+    own = bicycle.steer_elements
+    return replace(bicycle, steer_elements=replace(own, lean_rate_gain=own.lean_rate_gain + gain))
+
+
+def eigenvalues(bicycle: Bicycle, fastest: float) -> tuple[Columns, tuple[str, ...]]:
+    """Eigenvalues by mode from standstill on, and the modes' names."""
+    highest = max(HIGHEST_SPEED, 1.2 * fastest)
+    close = [meeting.speed * part for meeting in double_roots(bicycle) for part in CLOSE]
+    speeds = np.unique(np.concatenate([np.linspace(0.0, highest, CURVES), close]))
+    course = follow_modes(bicycle, speeds[speeds <= highest])
+    rows = [
+        (curve, speed, name, value)
+        for speed, values, names in zip(course.speeds, course.eigenvalues, course.names, strict=True)
+        for curve, (value, name) in enumerate(zip(values, names, strict=True))
+    ]
+    columns: Columns = {
+        "curve": [curve for curve, *_ in rows],
+        "speed": column(speed for _, speed, *_ in rows),
+        "mode": [name for _, _, name, _ in rows],
+        "real": column(value.real for *_, value in rows),
+        "imaginary": column(value.imag if value.imag > 1e-9 else math.nan for *_, value in rows),
+    }
+    return columns, tuple(dict.fromkeys(columns["mode"]))
+
+
+def stable_ranges(answer: Stability, highest: float) -> Columns:
+    """Speeds at which the bicycle is stable, cut at the end of the axis."""
+    inside = [(low, min(high, highest)) for low, high in answer.stable_speed_ranges if low < highest]
+    return {"low": column(low for low, _ in inside), "high": column(high for _, high in inside)}
+
+
+def run_speeds(fit: RecordingFit, both: Comparison) -> Columns:
+    """Lowest and highest measured speed during the free response, and the one used."""
+    used = both.used.system.speed
+    low = high = used
+    if fit.recording.speed is not None:
+        time_ns, speed = fit.recording.speed.time_ns, fit.recording.speed.speed
+        inside = speed[(time_ns >= both.strike.start_ns) & (time_ns <= both.strike.end_ns)]
+        inside = inside[np.isfinite(inside)]
+        if len(inside):
+            low, high = min(used, float(inside.min())), max(used, float(inside.max()))
+    return {"low": column([low]), "high": column([high]), "used": column([used])}

@@ -1,0 +1,143 @@
+"""The part of the report about one strike: sentence, charts, tables, animation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from tms_model import stability
+
+from tms_fit.comparison import Comparison, comparison, first_good, source_of
+from tms_fit.offline import RecordingFit
+from tms_fit.prediction import predictor
+from tms_fit.report import datasets
+from tms_fit.report.animation import animation
+from tms_fit.report.chart import Chart, Columns
+from tms_fit.report.charts.eigenvalues import eigenvalue_chart
+from tms_fit.report.charts.rates import rates_chart
+from tms_fit.report.charts.residuals import histogram_chart, residual_chart
+from tms_fit.report.charts.speed import speed_chart
+from tms_fit.report.element import Element
+from tms_fit.report.motion import Motion, predicted_motion, true_motion
+from tms_fit.report.parameters import estimator_table, parameter_table
+from tms_fit.report.sentence import sentence
+from tms_fit.report.truth import truth_table
+from tms_fit.settings import CHANNELS
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page with its charts and their data."""
+
+    name: str  # of its anchor, such as strike-1
+    title: str
+    words: tuple[Element, ...]  # above the charts
+    charts: tuple[Chart, ...] = ()
+    tables: tuple[Element, ...] = ()  # below the charts
+    data: dict[str, Columns] = field(default_factory=dict)
+    motions: dict[str, Columns] = field(default_factory=dict)  # of the animation, predicted and true
+
+
+def strike_section(fit: RecordingFit, index: int) -> Section:
+    """The section of strike `index`, counted from 0."""
+    strike = fit.strikes[index]
+    name, title = f"strike-{index + 1}", f"Strike {index + 1}"
+    if first_good(strike) is None:
+        return Section(name, title, (sentence(fit, index),), tables=(estimator_table(strike),))
+    both = comparison(fit, index + 1)
+    charts, data = _charts(fit, both)
+    motions = _motions(fit, both)
+    tables = [parameter_table(both.estimate)]
+    if len(strike.estimates) > 1:
+        tables.append(estimator_table(strike))
+    if fit.recording.state is not None:
+        compared = truth_table(fit.recording.state, both, fit.settings.fixed_linear)
+        tables += [compared] if compared is not None else []
+    return Section(
+        name,
+        title,
+        (sentence(fit, index), animation(name, both, "true" in motions)),
+        charts,
+        tuple(tables),
+        data,
+        motions,
+    )
+
+
+def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dict[str, Columns]]:
+    present = tuple(
+        name for name, values in zip(CHANNELS, both.used.measured.T, strict=True) if np.isfinite(values).any()
+    )
+    residual = both.used.measured - predictor(both.used).predict(
+        {**fit.settings.fixed_linear, **both.estimate.parameters}
+    )
+    data = {
+        "series": datasets.series(both),
+        "window": datasets.window(both),
+        "residuals": datasets.residuals(both, residual),
+    }
+    for channel, name in enumerate(CHANNELS):
+        if name in present:
+            bars, normal = datasets.histogram(residual[:, channel], both.estimate.residual_std)
+            data[f"histogram_{name}"], data[f"normal_{name}"] = bars, normal
+    state = fit.recording.state
+    if state is not None:
+        data["truth"] = datasets.truth(state, both.strike.start_ns, float(both.time[-1]))
+    speed, more = _speed(fit, both)
+    eigenvalue, rest = _eigenvalues(fit, both)
+    charts = (
+        rates_chart(source_of(fit), "yaw_rate" in present, state is not None),
+        speed,
+        residual_chart(present),
+        histogram_chart(present),
+        eigenvalue,
+    )
+    return charts, {**data, **more, **rest}
+
+
+def _speed(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:
+    last = float(both.time[-1])
+    data: dict[str, Columns] = {
+        "used_speed": {
+            "time": datasets.column([0.0, last]),
+            "speed": datasets.column([both.used.system.speed] * 2),
+        }
+    }
+    samples = datasets.speed_samples(fit, both.strike.start_ns, last)
+    if samples is not None:
+        data["speed"] = samples
+    bicycle = datasets.with_feedback(fit.bicycle, both.used.lean_rate_gain)
+    edges = [low for low, _ in stability(bicycle).stable_speed_ranges if low > 0.0]
+    data["onset"] = {"speed": datasets.column(edges[:1])}
+    return speed_chart(samples is not None, bool(edges), fit.recording.state is not None), data
+
+
+def _eigenvalues(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:
+    bicycle = datasets.with_feedback(fit.bicycle, both.used.lean_rate_gain)
+    run_speeds = datasets.run_speeds(fit, both)
+    curves, names = datasets.eigenvalues(bicycle, run_speeds["high"][0])
+    gain = both.used.lean_rate_gain
+    feedback = (
+        f" with steer torque = {gain:.2f} N m s/rad times lean rate, as found in this run" if gain else ""
+    )
+    data = {
+        "eigenvalues": curves,
+        "stable": datasets.stable_ranges(stability(bicycle), max(curves["speed"])),
+        "run_speeds": run_speeds,
+    }
+    return eigenvalue_chart(names, feedback), data
+
+
+def _motions(fit: RecordingFit, both: Comparison) -> dict[str, Columns]:
+    motions = {"predicted": _columns(predicted_motion(both, fit.settings.fixed_linear))}
+    if fit.recording.state is not None:
+        true = true_motion(fit.recording.state, both.strike.start_ns, -0.5, float(both.time[-1]))
+        if true is not None:
+            motions["true"] = _columns(true)
+    return motions
+
+
+def _columns(motion: Motion) -> Columns:
+    return {
+        name: datasets.column(getattr(motion, name)) for name in ("time", "lean", "steer", "yaw", "x", "y")
+    }
