@@ -118,7 +118,6 @@ def unfinished_bag(tmp_path: Path, run: Run) -> Path:
         writer.write(record, topics.QOS[record.topic[1:]])
         if number % 100 == 99:
             writer.flush()
-    writer._file.flush()
     copy = tmp_path / "killed"
     copy.mkdir()
     (copy / "killed_0.mcap").write_bytes((folder / "unfinished_0.mcap").read_bytes())

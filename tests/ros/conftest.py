@@ -40,6 +40,7 @@ class Nodes:
         local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         self._environment = os.environ | local
         self._processes: list[subprocess.Popen[bytes]] = []
+        self._newest: dict[str, subprocess.Popen[bytes]] = {}  # by executable
 
     def start(self, package: str, executable: str, *arguments: str) -> "subprocess.Popen[bytes]":
         """Start an executable; what it says goes to its log."""
@@ -53,6 +54,7 @@ class Nodes:
                 cwd=self.folder,
             )
         self._processes.append(process)
+        self._newest[executable] = process
         return process
 
     def log(self, executable: str) -> Path:
@@ -62,7 +64,14 @@ class Nodes:
     def wait_for(self, executable: str, text: str) -> None:
         """Wait until an executable has said something."""
         log = self.log(executable)
-        wait_until(lambda: text in log.read_text(), f"{executable} says {text!r}")
+
+        def said() -> bool:
+            ended = self._newest[executable].poll() is not None
+            there = text in log.read_text()
+            assert there or not ended, f"{executable} ended without saying {text!r}:\n{log.read_text()}"
+            return there
+
+        wait_until(said, f"{executable} says {text!r}")
 
     def finish(self, process: "subprocess.Popen[bytes]", code: int = 0) -> None:
         """Wait until a process ends by itself, with an exit code."""

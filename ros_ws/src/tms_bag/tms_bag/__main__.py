@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from tms_model import ParameterError
@@ -19,6 +16,7 @@ from tqdm import tqdm
 from tms_bag.csv_import import import_csv
 from tms_bag.errors import RecordingError
 from tms_bag.mapping import adapted, load_mapping, mapping_names
+from tms_bag.node_commands import add_play, add_record, play, record
 from tms_bag.reader import BagReader
 from tms_bag.repair import repair
 
@@ -47,18 +45,8 @@ def _parser() -> Parser:
     mend.add_argument(
         "-o", "--output", help="bag to write (default: in the place of BAG, kept as BAG.unrepaired)"
     )
-    record = commands.add_parser(
-        "record", help="record topics until Ctrl-C", description="Runs the recorder node."
-    )
-    record.add_argument("-o", "--output", help="bag to write (default: bag_ and the time, in this folder)")
-    record.add_argument("--topics", nargs="+", default=[], help="topics to record (default: all)")
-    play = commands.add_parser("play", help="publish a bag's messages", description="Runs the player node.")
-    play.add_argument("bag", help="folder of a bag, or an .mcap file")
-    play.add_argument("--rate", type=float, default=1.0, help="times real time (default 1)")
-    play.add_argument("--start-offset", type=float, default=0.0, help="start this much into the bag [s]")
-    play.add_argument("--topics", nargs="+", default=[], help="topics to play (default: all)")
-    play.add_argument("--loop", action="store_true", help="start anew at the end, until Ctrl-C")
-    play.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
+    add_record(commands)
+    add_play(commands)
     return parser
 
 
@@ -147,35 +135,7 @@ def _repair(arguments: argparse.Namespace) -> None:
     print(f"{done.output}: {done.message_count} messages recovered{lost}{kept}")
 
 
-def _record(arguments: argparse.Namespace) -> None:
-    output = arguments.output or f"bag_{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    _run_node("recorder", {"output": str(Path.cwd() / output), "topics": arguments.topics})
-
-
-def _play(arguments: argparse.Namespace) -> None:
-    with BagReader(arguments.bag) as bag:
-        parameters = {
-            "bag": str(Path.cwd() / bag.path),
-            "rate": arguments.rate,
-            "start_offset": arguments.start_offset,
-            "loop": arguments.loop,
-            "publish_clock": arguments.clock,
-            "topics": arguments.topics,
-        }
-    _run_node("player", parameters)
-
-
-def _run_node(name: str, parameters: dict[str, Any]) -> None:
-    """Become the node, so that signals and the exit code are the node's."""
-    arguments = [sys.executable, "-m", f"tms_bag.nodes.{name}", "--ros-args"]
-    for key, value in parameters.items():
-        if value != []:  # an empty list has no type for ROS; the node's default is empty
-            arguments += ["-p", f"{key}:={json.dumps(value)}"]
-    sys.stdout.flush()
-    os.execv(sys.executable, arguments)
-
-
-COMMANDS = {"info": _info, "import-csv": _import_csv, "repair": _repair, "record": _record, "play": _play}
+COMMANDS = {"info": _info, "import-csv": _import_csv, "repair": _repair, "record": record, "play": play}
 
 if __name__ == "__main__":
     sys.exit(run(main, (RecordingError, ParameterError)))

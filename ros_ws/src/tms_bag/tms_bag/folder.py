@@ -80,6 +80,15 @@ class Destination:
                 return
 
 
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise RecordingError(f"{given}: exists already; choose another name, or say --force to replace a bag")

@@ -47,34 +47,47 @@ def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _Dumper.add_representer(str, _represent_text)
 
 
+@dataclass(frozen=True)
+class FileInformation:
+    """One file of a bag."""
+
+    name: str
+    time_range: tuple[int, int] | None  # earliest and latest log time [ns]; None without messages
+    message_count: int
+
+
 def bag_information(
-    file_name: str,
+    files: Sequence[FileInformation],
     channels: Sequence[Channel],
     counts: Sequence[int],
-    time_range: tuple[int, int] | None,
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The mapping under the root key for a bag of one file; `time_range` is None without messages."""
-    start, end = time_range if time_range else (EMPTY_BAG_START_NS, EMPTY_BAG_START_NS)
-    span = {
-        "duration": {"nanoseconds": end - start},
-        "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": sum(counts),
-    }
+    """The mapping under the root key; `counts` are messages by channel."""
+    ranges = [file.time_range for file in files if file.time_range]
+    whole = (min(start for start, _ in ranges), max(end for _, end in ranges)) if ranges else None
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **span,
+        **_span(whole, sum(counts)),
         "topics_with_message_count": [
             {"topic_metadata": _topic_metadata(channel), "message_count": count}
             for channel, count in zip(channels, counts, strict=True)
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, **span}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [{"path": file.name, **_span(file.time_range, file.message_count)} for file in files],
         "custom_data": dict(custom_data),
         "ros_distro": "jazzy",
+    }
+
+
+def _span(time_range: tuple[int, int] | None, message_count: int) -> dict[str, Any]:
+    start, end = time_range if time_range else (EMPTY_BAG_START_NS, EMPTY_BAG_START_NS)
+    return {
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": message_count,
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 # Summary, whether all is well, and further figures by name.
@@ -28,4 +29,5 @@ def report_every_second(node: Node, report: Callable[[], Report]) -> None:
         array.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(array)
 
-    node.create_timer(1.0, publish)
+    # Real time: the simulated one may stand still, and then one wants to know what a node is waiting for.
+    node.create_timer(1.0, publish, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -48,17 +48,6 @@ def recorded_qos(profile: QoSProfile) -> Qos:
     )
 
 
-def requested_profile(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
-    """What to ask for so that all publishers match: reliable or latched only if all of them are."""
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
 def offered_profile(recorded: Sequence[Qos], count: int) -> QoSProfile:
     """What to offer when `count` messages of a topic are played: what was recorded, with enough depth.
 

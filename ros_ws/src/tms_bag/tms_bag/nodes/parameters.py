@@ -50,11 +50,16 @@ def refuse_unknown_parameters(node: Node) -> None:
         raise ParameterError(f"unknown parameter {', '.join(unknown)}: expected of {', '.join(own)}")
 
 
+def declare_texts(node: Node, name: str, description: str) -> list[str]:
+    """Declare a list of texts, return those that aren't empty."""
+    # An empty list has no type for ROS; a list of one empty text stands for it.
+    return [value for value in declare(node, name, [""], description) if value]
+
+
 def declare_names(node: Node, name: str, description: str) -> list[str]:
     """Declare a list of topic names, return their full names. ParameterError if one can't be a name."""
-    # An empty list has no type for ROS; a list of one empty text stands for it.
-    values = declare(node, name, [""], description)
+    values = declare_texts(node, name, description)
     try:
-        return [node.resolve_topic_name(value) for value in values if value]
+        return [node.resolve_topic_name(value) for value in values]
     except Exception as error:  # rclpy raises classes of its C++ part, which have no common base
         raise ParameterError(f"parameter {name}: expected topic names, found {values}: {error}") from error

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import sys
-from datetime import datetime
-from pathlib import Path
+import time
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
-import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 
-from tms_bag.channel import installed_channel
-from tms_bag.errors import RecordingError
+import tms_bag
+from tms_bag.live_bag import LiveBag
 from tms_bag.nodes.diagnostics import Report, report_every_second
-from tms_bag.nodes.interfaces import recorded_qos
-from tms_bag.nodes.parameters import declare, declare_names, refuse_unknown_parameters
-from tms_bag.nodes.process import run_node
-from tms_bag.nodes.raw_subscription import subscribe_raw
+from tms_bag.nodes.discovery import Discovery
+from tms_bag.nodes.process import RCLError, run_node
+from tms_bag.nodes.recorder_services import offer_services
+from tms_bag.nodes.recorder_settings import declare_recorder_settings
+from tms_bag.nodes.stamping import SimulatedStamps, WallStamps
+from tms_bag.recent import RecentRecords
 from tms_bag.record import Record
+from tms_bag.remarks import closing_words, recording_remarks
 from tms_bag.writer import BagWriter
 
-LEFT_OUT = ("/rosout", "/parameter_events")  # of ROS itself; recorded when asked for by name
 LOOK_PERIOD = 0.1  # [s] how soon a new topic is found
-FLUSH_PERIOD = 0.5  # [s] what a kill can cost
+DRAIN_PERIOD = 0.005  # [s]
 
 
 class Recorder(Node):
@@ -31,79 +33,87 @@ class Recorder(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", **kwargs)
-        output = declare(
-            self, "output", "", "bag (a folder) to write; empty: bag_ and the time, in this folder"
+        settings = declare_recorder_settings(self)
+        self._stamps = SimulatedStamps(self) if self.get_parameter("use_sim_time").value else WallStamps()
+        self._writer = BagWriter(
+            settings.output, live=True, preset=settings.compression, splitting=settings.splitting
         )
-        self._chosen = declare_names(self, "topics", "names of topics to record; empty: all but ROS's own")
-        self._simulated_time = self.get_parameter("use_sim_time").value
-        self._lost: dict[str, int] = {}
+        recent = RecentRecords(settings.snapshot, settings.snapshot_memory) if settings.snapshot else None
+        self._bag = LiveBag(self._writer, recent, settings.start_paused)
+        self._discovery = Discovery(
+            *(self, settings.selection, settings.history, settings.include_unpublished),
+            announce=self._writer.add_channel,
+        )
         self._told: dict[str, int] = {}  # losses that the user knows already
-        self._passed_over: set[str] = set()
-        refuse_unknown_parameters(self)
-        self._bag = BagWriter(Path(output or f"bag_{datetime.now():%Y-%m-%d_%H-%M-%S}"), live=True)
-        self._bag.__enter__()
-        self._look_for_topics()
-        self.create_timer(LOOK_PERIOD, self._look_for_topics)
-        self.create_timer(FLUSH_PERIOD, self._bag.flush)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self)
+        offer_services(self, self._bag, self._drain_all)
         report_every_second(self, self._report)
-        self.get_logger().info(f"recording to {self._bag.path}")
+        self.get_logger().info(f"recording to {self._writer.path}")
 
     def run(self) -> None:
         """Record until a signal."""
-        rclpy.spin(self)
+        look_at = 0.0
+        while True:
+            if time.monotonic() >= look_at:
+                self._discovery.look()
+                look_at = time.monotonic() + LOOK_PERIOD
+            self._executor.spin_once(timeout_sec=DRAIN_PERIOD)
+            self._drain_all()
+            self._bag.flush_when_due()
 
     def close(self) -> None:
-        """Close the bag and say what is in it."""
-        self._bag.__exit__(None, None, None)
-        counts, lost = self._bag.counts, sum(self._lost.values())
-        losses = f", {lost} lost" if lost else ""
-        print(
-            f"{self._bag.path}: {sum(counts.values())} messages of {len(counts)} topics{losses}",
-            file=sys.stderr,
-        )
-
-    def _look_for_topics(self) -> None:
-        for name, types in self.get_topic_names_and_types():
-            if name in self._bag.counts or name in self._passed_over or not self._wanted(name):
-                continue
-            offered = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]
-            if not offered:  # somebody listens, nobody speaks
-                continue
-            try:
-                self._record(name, types, offered)
-                self.get_logger().info(f"recording {name} [{types[0]}]")
-            except RecordingError as error:
-                self._passed_over.add(name)
-                self.get_logger().warning(f"{name} is not recorded: {error}")
-
-    def _wanted(self, name: str) -> bool:
-        if self._chosen:
-            return name in self._chosen
-        return name not in LEFT_OUT and not any(part.startswith("_") for part in name.split("/"))
-
-    def _record(self, name: str, types: list[str], offered: list[QoSProfile]) -> None:
-        if len(types) > 1:
-            raise RecordingError(
-                f"expected one type, found {', '.join(types)}; give the topics different names"
+        """Take what has arrived, close the bag and say what is in it."""
+        try:
+            if not self._stamps.ready:
+                self._stamps = WallStamps()
+                print("/clock has not ticked: messages are stamped with the wall's time", file=sys.stderr)
+            with suppress(RCLError):
+                self._drain_all()
+        finally:
+            found = self._discovery
+            self._writer.custom_data = recording_remarks(
+                *(f"tms_bag {tms_bag.__version__}", self._stamps.name, found.lost, found.sent_before),
+                *(found.passed_over, self._bag.left_out),
             )
-        type_name = types[0]
-        channel = installed_channel(name, type_name, tuple(dict.fromkeys(map(recorded_qos, offered))))
+            self._bag.close()
+        words = closing_words(self._writer.counts, found.lost, found.passed_over)
+        print(f"{self._writer.path}: {words}", file=sys.stderr)
 
-        def take(data: bytes, received: int, sent: int) -> None:
-            if self._simulated_time:  # then the bag tells simulated time, as with rosbag2's --use-sim-time
-                received = sent = self.get_clock().now().nanoseconds
-            self._bag.write(Record(name, type_name, received, data, sent))
+    def _drain_all(self) -> None:
+        while self._drain():
+            pass
 
-        subscribe_raw(self, name, type_name, offered, take, lambda count: self._lost.update({name: count}))
-        self._bag.add_channel(channel)
+    def _drain(self) -> bool:
+        """Take what has arrived, in turn; returns whether more may be waiting."""
+        self._stamps.follow()
+        if not self._stamps.ready:
+            return False
+        more = [
+            intake.drain(partial(self._take, name, self._discovery.type_of(name)))
+            for name, intake in self._discovery.intakes.items()
+        ]
+        return any(more)
+
+    def _take(self, name: str, kind: str, data: bytes, arrived_ns: int, sent_ns: int) -> None:
+        stamp = self._stamps.at(arrived_ns)
+        sent = sent_ns if stamp == arrived_ns else stamp
+        self._bag.take(Record(name, kind, stamp, data, sent), arrived_ns)
 
     def _report(self) -> Report:
-        if self._lost != self._told:
-            self._told = dict(self._lost)
-            self.get_logger().warning(f"lost messages: {self._told}")
-        counts = self._bag.counts
-        losses = {f"{name} lost": count for name, count in self._lost.items()}
-        return f"{sum(counts.values())} messages in {self._bag.path}", not self._lost, {**counts, **losses}
+        lost = self._discovery.lost
+        if lost != self._told:
+            self._told = lost
+            self.get_logger().warning(f"lost messages: {lost}")
+        if not self._stamps.ready:
+            return "waiting for /clock (use_sim_time is set)", False, {}
+        counts = self._writer.counts
+        values: dict[str, object] = {**counts, **{f"{name} lost": count for name, count in lost.items()}}
+        values |= {"files": self._writer.file_count, "clock went back": self._stamps.jumps}
+        if self._bag.recent is not None:
+            values["kept in memory [bytes]"] = self._bag.recent.bytes
+        doing = "paused: " if self._bag.paused else ""
+        return f"{doing}{sum(counts.values())} messages in {self._writer.path}", not lost, values
 
 
 def main(args: list[str] | None = None) -> int:
