@@ -168,7 +168,9 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
     )
     nodes.finish(recorder, code=1)
     nodes.stop(player)
-    assert only_line(nodes, "recorder").startswith("error: ")
+    line = only_line(nodes, "recorder")
+    assert line.startswith("error: ")
+    assert "can't be written any further (File too large); `tms bag repair" in line
     with BagReader(tmp_path / "new") as reader:
         assert reader.message_count > 0
         assert not reader.complete

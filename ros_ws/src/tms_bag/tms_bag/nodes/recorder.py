@@ -52,15 +52,22 @@ class Recorder(Node):
         self.get_logger().info(f"recording to {self._writer.path}")
 
     def run(self) -> None:
-        """Record until a signal."""
+        """Record until a signal. OSError when the disk takes no more."""
         look_at = 0.0
-        while True:
-            if time.monotonic() >= look_at:
-                self._discovery.look()
-                look_at = time.monotonic() + LOOK_PERIOD
-            self._executor.spin_once(timeout_sec=DRAIN_PERIOD)
-            self._drain_all()
-            self._bag.flush_when_due()
+        try:
+            while True:
+                if time.monotonic() >= look_at:
+                    self._discovery.look()
+                    look_at = time.monotonic() + LOOK_PERIOD
+                self._executor.spin_once(timeout_sec=DRAIN_PERIOD)
+                self._drain_all()
+                self._bag.flush_when_due()
+        except OSError as error:
+            path = self._writer.path
+            raise OSError(
+                f"{path}: can't be written any further ({error.strerror}); `tms bag repair {path}` makes a clean"
+                " bag of what is there"
+            ) from error
 
     def close(self) -> None:
         """Take what has arrived, close the bag and say what is in it."""
