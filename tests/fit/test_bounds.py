@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tms_fit.estimators.least_squares import solve
 from tms_fit.prediction import predictor
+from tms_fit.projection import Problem, Solution, solve
+from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 
@@ -25,7 +26,14 @@ def free_response(speed: float, channels: tuple[str, ...] = ("lean_rate", "yaw_r
     measured = {"lean_rate": states[:, 2], "yaw_rate": yaw_rate(system, states)}
     absent = np.full(len(time), np.nan)
     columns = {name: values if name in channels else absent for name, values in measured.items()}
-    return Window(0, time, **columns, system=system, steer_torque=None, lean_rate_gain=0.0, torque_r2=np.nan)
+    return Window(0, time, **columns, bicycle=BICYCLE, speed=constant_speed(speed))
+
+
+def solved(window: Window, free: tuple[str, ...]) -> Solution:
+    """Least squares for unit noise."""
+    good = np.isfinite(window.measured)
+    linear = tuple(name for name in free if name != "speed")
+    return solve(Problem(window, linear, free[len(linear) :]), lambda values: values[good])
 
 
 def last_digit(number: float) -> float:
@@ -41,7 +49,7 @@ def test_standard_errors_reach_the_bound(entry: dict[str, object]) -> None:
     free = tuple(entry["free"])  # type: ignore[call-overload]
     window = free_response(CASE["speed"], tuple(entry.get("channels", ("lean_rate", "yaw_rate"))))  # type: ignore[arg-type]
     index = free.index("initial_lean_rate")
-    solution = solve(window, free, {})
+    solution = solved(window, free)
     assert solution.values[index] == pytest.approx(CASE["initial_lean_rate"], rel=1e-9)
     std = CASE["noise"] * np.sqrt(solution.inverse[index, index])
     assert std == pytest.approx(entry["std"], abs=1.01 * last_digit(entry["std"]))  # type: ignore[arg-type]
@@ -64,7 +72,7 @@ def test_the_prediction_changes_with_speed_as_it_must(entry: dict[str, object]) 
 def test_the_yaw_rate_carries_most_of_the_information() -> None:
     def information(*channels: str) -> float:
         return float(
-            1.0 / solve(free_response(CASE["speed"], channels), ("initial_lean_rate",), {}).inverse[0, 0]
+            1.0 / solved(free_response(CASE["speed"], channels), ("initial_lean_rate",)).inverse[0, 0]
         )
 
     both = information("lean_rate", "yaw_rate")

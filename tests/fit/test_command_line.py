@@ -242,7 +242,15 @@ REFUSED = {
     "nothing free": (["--free", ""], "free: expected at least one of"),
     "unknown free": (["--free", "initial_yaw"], "free: unknown 'initial_yaw'; expected of initial_lean"),
     "free twice": (["--free", "initial_lean_rate,initial_lean_rate"], "initial_lean_rate: found twice"),
-    "speed is never free": (["--free", "speed"], "free: unknown 'speed'"),
+    "prior on what is not free": (
+        ["--prior", "speed=3.6,0.1", "--free", "initial_lean_rate"],
+        "prior: speed: expected a free parameter",
+    ),
+    "prior without deviation": (["--prior", "speed=3.6"], "expected NAME=MEAN,STD with two numbers"),
+    "prior of no width": (["--prior", "speed=3.6,0"], "a positive standard deviation, found 3.6 and 0"),
+    "no channel": (["--channels", ""], "channels: expected at least one of"),
+    "unknown channel": (["--channels", "pitch_rate"], "channels: unknown 'pitch_rate'"),
+    "speed model": (["--speed-model", "falling"], "invalid choice: 'falling'"),
     "free and fixed": (
         ["--fix", "lean_rate_bias=0", "--free", "lean_rate_bias"],
         "found both free and fixed",

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp
+from tms_fit.answer import variance_accounted_for
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
-from tms_fit.linear import variance_accounted_for
-from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, LINEAR
+from tms_fit.projection import Problem
+from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, LINEAR, FitSettings
+from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, response, yaw_rate
 
@@ -56,7 +58,20 @@ def made_window(
     if missing:
         measured[rng.random((count, 2)) < 0.1] = np.nan
         measured[20:24] = np.nan
-    return Window(0, time, measured[:, 0], measured[:, 1], system, known, 0.0, math.nan, delay)
+    return Window(
+        0,
+        time,
+        measured[:, 0],
+        measured[:, 1],
+        load_bicycle(bicycle),
+        constant_speed(speed),
+        known,
+        delay=delay,
+    )
+
+
+def settings(free: tuple[str, ...], fixed: dict[str, float] | None = None) -> FitSettings:
+    return FitSettings(free=free, fixed=fixed or {})
 
 
 def assert_same(one: Estimate, other: Estimate, precision: float) -> None:
@@ -72,7 +87,7 @@ def assert_same(one: Estimate, other: Estimate, precision: float) -> None:
 @pytest.mark.parametrize("bicycle", bicycle_names())
 def test_every_estimator_is_exact_without_noise(estimator: str, bicycle: str) -> None:
     window = made_window({"initial_lean_rate": -0.37}, bicycle=bicycle, delay=0.0042)
-    answer = ESTIMATORS[estimator](window, ("initial_lean_rate",), {})
+    answer = ESTIMATORS[estimator](window, settings(("initial_lean_rate",)))
     assert answer.status == "ok"
     assert answer.parameters["initial_lean_rate"] == pytest.approx(-0.37, rel=1e-8)
     assert answer.std[0] < 1e-8
@@ -81,18 +96,18 @@ def test_every_estimator_is_exact_without_noise(estimator: str, bicycle: str) ->
 
 @pytest.mark.parametrize("estimator", ["least_squares", "kalman_rts"])
 def test_all_unknowns_at_once(estimator: str) -> None:
-    answer = ESTIMATORS[estimator](made_window(TRUTH, torque=True, delay=0.003), LINEAR, {})
+    answer = ESTIMATORS[estimator](made_window(TRUTH, torque=True, delay=0.003), settings(LINEAR))
     assert answer.parameters == pytest.approx(TRUTH, abs=1e-7)
 
 
 @pytest.mark.parametrize("estimator", ["least_squares", "kalman_rts"])
 def test_what_is_known_is_held(estimator: str) -> None:
     known = {name: value for name, value in TRUTH.items() if name != "initial_lean_rate"}
-    answer = ESTIMATORS[estimator](made_window(TRUTH, noise=0.01), ("initial_lean_rate",), known)
+    answer = ESTIMATORS[estimator](made_window(TRUTH, noise=0.01), settings(("initial_lean_rate",), known))
     assert answer.names == ("initial_lean_rate",)
     low, high = answer.ci95[0]
     assert low < 0.5 < high
-    wrong = ESTIMATORS[estimator](made_window(TRUTH, noise=0.01), ("initial_lean_rate",), {})
+    wrong = ESTIMATORS[estimator](made_window(TRUTH, noise=0.01), settings(("initial_lean_rate",)))
     assert wrong.residual_std > 2.0 * answer.residual_std
 
 
@@ -103,7 +118,7 @@ def test_least_squares_is_kalman_smoothing(free: tuple[str, ...]) -> None:
     window = made_window(TRUTH, noise=0.02, torque=True, missing=True, jitter=True, delay=0.0037)
     fixed = {name: value for name, value in TRUTH.items() if name not in free}
     by_squares, by_filter = (
-        ESTIMATORS[name](window, free, fixed) for name in ("least_squares", "kalman_rts")
+        ESTIMATORS[name](window, settings(free, fixed)) for name in ("least_squares", "kalman_rts")
     )
     assert_same(by_filter, by_squares, 1e-9)
 
@@ -112,12 +127,13 @@ def test_least_squares_is_kalman_smoothing(free: tuple[str, ...]) -> None:
 def test_uncertain_start_widens_both_alike(free: tuple[str, ...]) -> None:
     window = made_window(TRUTH, noise=0.02, delay=0.004)
     uncertain = replace(window, delay_std=0.002)
-    plain, wide = (least_squares.estimate(one, free, {}) for one in (window, uncertain))
-    assert_same(kalman_rts.estimate(uncertain, free, {}), wide, 1e-6)
+    plain, wide = (least_squares.fit_window(one, settings(free)) for one in (window, uncertain))
+    assert_same(kalman_rts.estimate(uncertain, settings(free)), wide, 1e-6)
     index = free.index("initial_lean_rate")
     # By hand: the estimate at a start 1 ms later, less that 1 ms earlier, is its derivative.
     ends = [
-        least_squares.solve(replace(window, delay=0.004 + h), free, {}).values[index] for h in (-1e-3, 1e-3)
+        least_squares.fit_window(replace(window, delay=0.004 + h), settings(free)).values[index]
+        for h in (-1e-3, 1e-3)
     ]
     by_hand = (ends[1] - ends[0]) / 2e-3 * 0.002
     scale = wide.residual_std**2 / plain.residual_std**2
@@ -136,7 +152,7 @@ def test_least_squares_by_other_means(free: tuple[str, ...]) -> None:
             column[:, BIASES.index(name)] = 1.0
         else:
             start = np.eye(4)[INITIAL.index(name)]
-            system = window.system
+            system = linear_system(window.bicycle, window.start_speed)
             found = solve_ivp(
                 lambda _, x, a=system.a: a @ x, (0, 1.5), start, "DOP853", window.time, rtol=1e-12, atol=1e-13
             )
@@ -146,7 +162,7 @@ def test_least_squares_by_other_means(free: tuple[str, ...]) -> None:
     normal = np.linalg.inv(matrix.T @ matrix)
     values = normal @ matrix.T @ target
     variance = np.sum((target - matrix @ values) ** 2) / (300 - len(free))
-    answer = least_squares.estimate(window, free, {})
+    answer = least_squares.fit_window(window, settings(free))
     np.testing.assert_allclose(answer.values, values, rtol=1e-6)
     np.testing.assert_allclose(answer.covariance, variance * normal, rtol=1e-5, atol=1e-12)
     assert answer.residual_std == pytest.approx(math.sqrt(variance), rel=1e-9)
@@ -159,8 +175,9 @@ def test_smoothing_is_that_of_filterpy() -> None:
     window = made_window({"initial_lean_rate": 0.5, "initial_steer_rate": -0.8}, noise=sigma, count=40)
     kalman = KalmanFilter(dim_x=4, dim_z=2)
     kalman.x, kalman.P = np.zeros((4, 1)), prior.copy()
-    kalman.F, _ = discretise(window.system, 0.01)
-    kalman.H = np.stack([[0.0, 0.0, 1.0, 0.0], window.system.yaw])
+    system = linear_system(window.bicycle, window.start_speed)
+    kalman.F, _ = discretise(system, 0.01)
+    kalman.H = np.stack([[0.0, 0.0, 1.0, 0.0], system.yaw])
     kalman.R, kalman.Q = sigma**2 * np.eye(2), 1e-14 * np.eye(4)
     states, covariances = [], []
     for k, sample in enumerate(window.measured):
@@ -171,19 +188,22 @@ def test_smoothing_is_that_of_filterpy() -> None:
         covariances.append(kalman.P.copy())
     theirs, their_covariances, _, _ = kalman.rts_smoother(np.array(states), np.array(covariances))
 
-    ours = kalman_rts.smooth(window, INITIAL, {})
-    information = np.linalg.inv(ours.inverse) / sigma**2
+    rough = least_squares.fit_window(window, settings(INITIAL)).covariance / sigma**2
+    values, inverse = kalman_rts.smooth(Problem(window, INITIAL), rough)
+    information = np.linalg.inv(inverse) / sigma**2
     covariance = np.linalg.inv(information + np.linalg.inv(prior))
-    np.testing.assert_allclose(covariance @ information @ ours.values, theirs[0][:, 0], rtol=0.0, atol=2e-6)
+    np.testing.assert_allclose(covariance @ information @ values, theirs[0][:, 0], rtol=0.0, atol=2e-6)
     np.testing.assert_allclose(covariance, their_covariances[0], rtol=1e-3, atol=1e-9)
 
 
 def test_som2011_looks_at_the_lean_rate_only() -> None:
     window = made_window(TRUTH, noise=0.02)
-    answer = ESTIMATORS["som2011"](window, LINEAR, {})
+    answer = ESTIMATORS["som2011"](window, settings(LINEAR))
     elsewhere = replace(window, yaw_rate=window.yaw_rate + 5.0)
-    again = ESTIMATORS["som2011"](elsewhere, ("yaw_rate_bias",), {})
-    alone = least_squares.estimate(replace(window, yaw_rate=np.full(150, np.nan)), ("initial_lean_rate",), {})
+    again = ESTIMATORS["som2011"](elsewhere, settings(("yaw_rate_bias",)))
+    alone = least_squares.fit_window(
+        replace(window, yaw_rate=np.full(150, np.nan)), settings(("initial_lean_rate",))
+    )
     assert answer.names == ("initial_lean_rate",)
     np.testing.assert_array_equal(answer.values, again.values)
     np.testing.assert_array_equal(answer.covariance, again.covariance)
@@ -213,7 +233,7 @@ UNKNOWABLE = {
 @pytest.mark.parametrize("case", UNKNOWABLE)
 def test_what_can_not_be_told_apart_is_not_observable(estimator: str, case: str) -> None:
     window, free = UNKNOWABLE[case]
-    answer = ESTIMATORS[estimator](window, free, {})
+    answer = ESTIMATORS[estimator](window, settings(free))
     assert answer.status == "not_observable"
     assert "free fewer" in answer.message
     assert answer.names == ()
@@ -232,7 +252,7 @@ SHORT = {
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("case", SHORT)
 def test_what_is_too_short_is_said(estimator: str, case: str) -> None:
-    answer = ESTIMATORS[estimator](SHORT[case], DEFAULT_FREE, {})
+    answer = ESTIMATORS[estimator](SHORT[case], settings(DEFAULT_FREE))
     assert answer.status == "too_short"
     assert "expected at least" in answer.message
     assert "found" in answer.message
@@ -260,7 +280,7 @@ def test_variance_accounted_for_by_hand() -> None:
 @pytest.mark.parametrize("free", [("initial_lean_rate",), DEFAULT_FREE])
 def test_start_between_two_samples_is_found(delay: float, free: tuple[str, ...]) -> None:
     window = made_window({"initial_lean_rate": 0.5}, delay=delay)
-    found = least_squares.refine_start(replace(window, delay=0.0), free, {}, 0.01)
+    found = least_squares.refine_start(replace(window, delay=0.0), settings(free), 0.01)
     assert found.delay == pytest.approx(delay, abs=2e-6)
     assert found.delay_std < 1e-5
     assert found.start_ns == -round(found.delay * 1e9)
@@ -269,7 +289,7 @@ def test_start_between_two_samples_is_found(delay: float, free: tuple[str, ...])
 def test_start_is_never_less_certain_than_a_uniform_guess() -> None:
     # Nothing but noise: the start may be anywhere between the samples, 0.01 / sqrt(12) = 0.0029 s.
     window = made_window({}, noise=0.02)
-    found = least_squares.refine_start(window, ("initial_lean_rate",), {}, 0.01)
+    found = least_squares.refine_start(window, settings(("initial_lean_rate",)), 0.01)
     assert found.delay_std == pytest.approx(0.01 / math.sqrt(12.0))
     assert 0.0 <= found.delay <= 0.01
 
@@ -277,7 +297,9 @@ def test_start_is_never_less_certain_than_a_uniform_guess() -> None:
 def test_coloured_residuals_are_told() -> None:
     window = made_window({"initial_lean_rate": 0.5}, noise=0.02)
     wave = replace(window, yaw_rate=window.yaw_rate + 0.1 * np.sin(2.0 * np.pi * 3.0 * window.time))
-    white, coloured = (least_squares.estimate(one, ("initial_lean_rate",), {}) for one in (window, wave))
+    white, coloured = (
+        least_squares.fit_window(one, settings(("initial_lean_rate",))) for one in (window, wave)
+    )
     assert abs(white.residual_autocorrelation) < 4.0 / math.sqrt(150)
     assert "too narrow" not in white.message
     assert coloured.residual_autocorrelation > 0.7  # cos(2 pi 3 / 100) = 0.98 of the wave, less the noise

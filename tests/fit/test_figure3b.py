@@ -14,7 +14,12 @@ from tms_bag import BagWriter, RecordingError, read_recording
 from tms_fit.figure3b import figure_3b
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import FitSettings
-from tms_model import response, yaw_rate
+from tms_fit.window import Window
+from tms_model import LinearSystem, linear_system, response, yaw_rate
+
+
+def system_of(window: Window) -> LinearSystem:
+    return linear_system(window.bicycle, window.start_speed, window.lean_rate_gain)
 
 
 @pytest.fixture
@@ -58,10 +63,10 @@ def test_curves_are_the_prediction_and_dots_the_recording(fitted: Any) -> None:
     (estimate,) = strike.estimates
     time, predicted = curve(upper, "predicted")
     start = np.array([0.0, 0.0, estimate.parameters["initial_lean_rate"], 0.0])
-    states = response(strike.window.system, start, time)
+    states = response(system_of(strike.window), start, time)
     np.testing.assert_allclose(predicted, states[:, 2] + estimate.parameters["lean_rate_bias"], atol=1e-9)
     _, yaw = curve(lower, "predicted")
-    expected = yaw_rate(strike.window.system, states) + estimate.parameters["yaw_rate_bias"]
+    expected = yaw_rate(system_of(strike.window), states) + estimate.parameters["yaw_rate_bias"]
     np.testing.assert_allclose(yaw, expected, atol=1e-9)
     assert time[-1] == pytest.approx(4.0, abs=0.01)  # beyond what was fitted: there it truly predicts
     dots_time, dots = curve(upper, "simulated")
@@ -78,7 +83,7 @@ def test_band_is_the_interval_carried_along(fitted: Any) -> None:
     (estimate,) = strike.estimates
     half = 0.5 * (estimate.ci95[0, 1] - estimate.ci95[0, 0])
     where, width = band(figure_3b(fit).axes[0])
-    unit = response(strike.window.system, np.array([0.0, 0.0, 1.0, 0.0]), where)
+    unit = response(system_of(strike.window), np.array([0.0, 0.0, 1.0, 0.0]), where)
     np.testing.assert_allclose(width, half * np.abs(unit[:, 2]), atol=1e-9)
 
 

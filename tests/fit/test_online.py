@@ -168,7 +168,7 @@ def test_speed_is_the_median_of_the_window_unless_fixed(
     (strike,) = fit_run(run, fixed=held, estimators=("least_squares",))
     used = (run.speed.time_ns >= strike.strike.time_ns) & (run.speed.time_ns <= strike.end_ns)
     assert strike.window is not None
-    assert strike.window.system.speed == held.get("speed", float(np.median(run.speed.speed[used])))
+    assert strike.window.start_speed == held.get("speed", float(np.median(run.speed.speed[used])))
 
 
 def test_a_torque_acts_from_its_sample_on(make_run: Any) -> None:
@@ -267,7 +267,7 @@ def test_estimate_message_says_what_the_estimate_is(recorded: Any) -> None:
         assert first == strike.strike.time_ns
         values = {entry.key: float(entry.value) for entry in message.diagnostics}
         assert values["residual_std"] == estimate.residual_std
-        assert values["speed"] == strike.window.system.speed
+        assert values["speed"] == strike.window.start_speed
 
 
 def test_samples_wait_for_the_run_to_be_announced(make_run: Any) -> None:
@@ -351,4 +351,4 @@ def test_speed_samples_may_be_missing_altogether(recorded: Any, tmp_path: Path, 
     assert isinstance(recording.run_info, RunInfo)
     fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
     assert fit.strikes[0].window is not None
-    assert fit.strikes[0].window.system.speed == 3.6
+    assert fit.strikes[0].window.start_speed == 3.6

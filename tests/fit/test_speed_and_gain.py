@@ -11,8 +11,8 @@ from tms_bag import Recording
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.offline import fit_recording
 from tms_fit.settings import FitSettings
-from tms_fit.window import at_speed
-from tms_model import ParameterError, load_bicycle
+from tms_fit.speed_curve import constant_speed
+from tms_model import load_bicycle
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
 
@@ -44,14 +44,15 @@ def test_interval_holds_the_speeds_uncertainty(estimator: str) -> None:
     fit = fit_recording(recording(run), load_bicycle("tms_eq_10_1"), settings)
     window = fit.strikes[0].window
     assert window is not None
-    assert window.speed_std == pytest.approx(
+    assert window.speed.std == pytest.approx(
         0.01 * 1.2533 / np.sqrt(75), rel=0.3
     )  # 50 Hz for 1.5 s, 0.01 m/s each
     solve = ESTIMATORS[estimator]
-    with_it, without = (solve(w, settings.free, {}) for w in (window, replace(window, speed_std=0.0)))
-    speeds = window.system.speed + np.array([-0.001, 0.001])
-    low, high = (solve(at_speed(window, float(v)), settings.free, {}).values[0] for v in speeds)
-    expected = without.std[0] ** 2 + ((high - low) / 0.002 * window.speed_std) ** 2
+    known = replace(window, speed=constant_speed(window.start_speed))
+    with_it, without = (solve(one, settings) for one in (window, known))
+    speeds = window.start_speed + np.array([-0.001, 0.001])
+    low, high = (solve(replace(window, speed=constant_speed(float(v))), settings).values[0] for v in speeds)
+    expected = without.std[0] ** 2 + ((high - low) / 0.002 * window.speed.std) ** 2
     assert with_it.std[0] ** 2 == pytest.approx(expected, rel=1e-3)
     assert with_it.std[0] > 1.2 * without.std[0]
 
@@ -75,8 +76,3 @@ def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
     low, high = strike.estimates[0].ci95[0]
     assert low <= -0.7 <= high
     assert strike.estimates[0].vaf["lean_rate"] > 0.98
-
-
-def test_the_gain_can_not_be_free() -> None:
-    with pytest.raises(ParameterError, match="unknown 'lean_rate_gain'"):
-        FitSettings(free=("lean_rate_gain",))

@@ -9,12 +9,13 @@ from pathlib import Path
 
 from tms_bag import RecordingError, read_recording
 from tms_model import ParameterError
+from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
-from tms_fit.settings import DEFAULT_FREE, LINEAR, FitSettings
+from tms_fit.settings import DEFAULT_FREE, PARAMETERS, SPEED_MODELS, STEER_TORQUES, FitSettings
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -70,33 +71,7 @@ def _parser() -> Parser:
             choices=list(ESTIMATORS),
             help="may be repeated (default: least_squares, kalman_rts)",
         )
-        command.add_argument(
-            "--free",
-            type=_names,
-            metavar="NAME,...",
-            help=f"of {', '.join(LINEAR)} (default: {','.join(DEFAULT_FREE)})",
-        )
-        command.add_argument(
-            "--fix",
-            action="append",
-            default=[],
-            type=_assignment,
-            metavar="NAME=VALUE",
-            help="a parameter, or speed [m/s]",
-        )
-        command.add_argument(
-            "--window",
-            type=float,
-            default=FitSettings.window,
-            help="longest free response used [s] (default %(default)s)",
-        )
-        command.add_argument(
-            "--steer-torque",
-            choices=("auto", "feedback", "input", "ignore"),
-            default=FitSettings.steer_torque,
-            help="how a known steer torque enters (default: feedback where it is proportional to the lean"
-            " rate, else input)",
-        )
+        _add_fit_arguments(command)
         command.add_argument("--imu-topic", help="topic of type sensor_msgs/msg/Imu")
         command.add_argument("--speed-topic", help="topic of type geometry_msgs/msg/TwistStamped")
         command.add_argument("--steer-torque-topic", help="topic of type tms_msgs/msg/SteerTorque")
@@ -115,12 +90,75 @@ def _parser() -> Parser:
     return parser
 
 
+def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
+    """What is found, what is known, and with which model of the run."""
+    command.add_argument(
+        "--free",
+        type=_names,
+        metavar="NAME,...",
+        help=f"parameters to find, of {', '.join(PARAMETERS)} (default: {','.join(DEFAULT_FREE)})",
+    )
+    command.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        type=_assignment,
+        metavar="NAME=VALUE",
+        help="a parameter that is known, SI units; may be repeated",
+    )
+    command.add_argument(
+        "--prior",
+        action="append",
+        default=[],
+        type=_prior,
+        metavar="NAME=MEAN,STD",
+        help="a free parameter of which something is known beforehand; may be repeated",
+    )
+    command.add_argument(
+        "--window",
+        type=float,
+        default=FitSettings.window,
+        help="longest free response used [s] (default %(default)s)",
+    )
+    command.add_argument(
+        "--channels",
+        type=_names,
+        default=FitSettings.channels,
+        metavar="NAME,...",
+        help="rates to compare with the model (default: lean_rate,yaw_rate)",
+    )
+    command.add_argument(
+        "--speed-model",
+        choices=SPEED_MODELS,
+        default=FitSettings.speed_model,
+        help="the speed after the strike: as measured, constant, falling by rolling resistance, or auto: as"
+        " measured where the samples show beyond doubt that it changes, else constant (default %(default)s)",
+    )
+    command.add_argument(
+        "--resistance",
+        choices=RESISTANCES,
+        default=FitSettings.resistance,
+        help="by what a speed that changes is changed (default %(default)s)",
+    )
+    command.add_argument(
+        "--steer-torque",
+        choices=STEER_TORQUES,
+        default=FitSettings.steer_torque,
+        help="how a known steer torque enters (default: feedback where it is proportional to the lean"
+        " rate, else input)",
+    )
+
+
 def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> RecordingFit:
     settings = FitSettings(
         free=arguments.free,
         fixed=dict(arguments.fix),
         window=arguments.window,
+        priors=dict(arguments.prior),
         steer_torque=arguments.steer_torque,
+        speed_model=arguments.speed_model,
+        resistance=arguments.resistance,
+        channels=arguments.channels,
         estimators=estimators,
     )
     recording = read_recording(
@@ -131,6 +169,17 @@ def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> Recordin
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _prior(text: str) -> tuple[str, tuple[float, float]]:
+    name, equals, numbers = text.partition("=")
+    mean, comma, std = numbers.partition(",")
+    try:
+        if equals and comma:
+            return name.strip(), (float(mean), float(std))
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with two numbers, found {text!r}")
 
 
 def _assignment(text: str) -> tuple[str, float]:

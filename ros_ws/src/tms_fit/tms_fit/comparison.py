@@ -12,7 +12,7 @@ from tms_model.frames import imu_to_rear_frame
 from tms_fit.estimate import Estimate
 from tms_fit.offline import RecordingFit, orientation_of
 from tms_fit.online import StrikeFit
-from tms_fit.prediction import predictor
+from tms_fit.prediction import predict_by
 from tms_fit.window import Window, make_window
 
 BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response
@@ -59,10 +59,9 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
             f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}"
         )
     shown = _shown_window(fit, number, strike.window)
-    model = predictor(shown)
-    columns = model.select(estimate.names)
+    predicted, slopes = predict_by(shown, estimate)
     # Student's t, as in the interval of the estimate.
-    std = np.sqrt(np.einsum("nci,ij,ncj->nc", columns, estimate.covariance, columns))
+    std = np.sqrt(np.einsum("nci,ij,ncj->nc", slopes, estimate.covariance, slopes))
     before_time, before = _before(fit, strike)
     return Comparison(
         strike=strike,
@@ -71,7 +70,7 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
         shown=shown,
         time=shown.time + shown.delay,
         measured=shown.measured,
-        predicted=model.predict({**fit.settings.fixed_linear, **estimate.parameters}),
+        predicted=predicted,
         half=std * estimate.quantile,
         before_time=before_time,
         before=before,
@@ -97,8 +96,14 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
         index = np.searchsorted(torque.time_ns, imu.time_ns[rows], side="right") - 1
         known = np.where(index >= 0, torque.steer_torque[np.maximum(index, 0)], np.nan)
     rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
-    shown = make_window(fit.bicycle, fit.settings, imu.time_ns[rows], rates, used.system.speed, known)
-    return replace(shown, system=used.system, steer_torque=known, delay=used.delay)
+    shown = make_window(fit.bicycle, fit.settings, imu.time_ns[rows], rates, used.speed, known)
+    return replace(
+        shown,
+        steer_torque=known,
+        lean_rate_gain=used.lean_rate_gain,
+        torque_r2=used.torque_r2,
+        delay=used.delay,
+    )
 
 
 def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import t as student_t
 from tms_model.bicycle import Array
+
+from tms_fit.settings import NONLINEAR, FitSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +30,16 @@ class Estimate:
     residual_autocorrelation: float = float(
         "nan"
     )  # at lag one, of the channel where it is largest; 0 when white
+    known: Mapping[str, float] = field(default_factory=dict)  # values of all parameters that were not free
+    predicted: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) [rad/s]
+    residual: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) [rad/s], NaN: not used
+    whitened: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2), unit variance if all is right
+    jacobian: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p) of predicted by values
+    noise: Mapping[str, float] = field(default_factory=dict)  # parameters of the noise model, by name
+    noise_model: str = "white"
+    log_likelihood: float = float("nan")  # at the maximum, noise parameters included
+    unknown_count: int = 0  # of the likelihood: parameters and noise parameters
+    settings: FitSettings | None = None  # as asked for
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -33,9 +47,25 @@ class Estimate:
         return dict(zip(self.names, (float(value) for value in self.values), strict=True))
 
     @property
+    def complete(self) -> dict[str, float]:
+        """All values that make the prediction, found and known."""
+        return {**self.known, **self.parameters}
+
+    @property
+    def nonlinear(self) -> dict[str, float]:
+        """Those of `complete` that `tms_fit.prediction.predictor` must be told."""
+        return {name: value for name, value in self.complete.items() if name in NONLINEAR}
+
+    @property
     def std(self) -> Array:
         """Standard errors (p,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (p, p)."""
+        correlation: Array = self.covariance / np.outer(self.std, self.std)
+        return correlation
 
     @property
     def quantile(self) -> float:
@@ -44,6 +74,16 @@ class Estimate:
 
     @property
     def ci95(self) -> Array:
-        """95 % intervals (p, 2), by Student's t: right for white residuals, too narrow for coloured ones."""
+        """95 % intervals (p, 2), by Student's t: right if the noise is as the noise model says."""
         half = self.quantile * self.std
         return np.stack([self.values - half, self.values + half], axis=1)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion; smaller is better, among fits of the same samples."""
+        return 2.0 * self.unknown_count - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion; smaller is better, among fits of the same samples."""
+        return self.unknown_count * math.log(max(self.sample_count, 1)) - 2.0 * self.log_likelihood

@@ -49,7 +49,7 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
     }
     if fit.window is not None:
         diagnostics["start_std"] = fit.window.delay_std
-        diagnostics["speed"] = fit.window.system.speed
+        diagnostics["speed"] = fit.window.start_speed
         diagnostics["lean_rate_gain"] = fit.window.lean_rate_gain
     message = message_type(ESTIMATE_TYPE)(
         header=_header(fit.start_ns),

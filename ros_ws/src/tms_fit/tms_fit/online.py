@@ -6,7 +6,6 @@ sample is used once speed and steer torque are known up to its time, or are late
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, replace
@@ -18,15 +17,15 @@ from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, check_names
-from tms_fit.estimators.least_squares import refine_start, solve
-from tms_fit.prediction import predictor
+from tms_fit.estimators.least_squares import refine_start
+from tms_fit.projection import Problem, solve
 from tms_fit.running_filter import FilterStep, RunningFilter
-from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, FitSettings
+from tms_fit.settings import INITIAL, FitSettings
+from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
 from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
 from tms_fit.window import Window, make_window
 
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
-MEDIAN = 1.2533  # standard error of a median per that of a mean, sqrt(pi / 2)
 MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
 LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
 LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
@@ -231,10 +230,12 @@ class OnlineFit:
         before = np.array([one.time_ns <= strike.onset_ns for one in samples])
         known = replace(window, lean_rate=np.where(before, window.lean_rate, np.nan))
         known = replace(known, yaw_rate=np.where(before, window.yaw_rate, np.nan))
-        solution = solve(known, assumed, {})
-        if not solution.observable:
+        problem = Problem(known, assumed)
+        good = np.isfinite(known.measured)
+        solution = solve(problem, lambda values: values[good])
+        if solution.status == "not_observable":
             return False
-        predicted = predictor(window).predict(dict(zip(assumed, solution.values, strict=True)))[:, 0]
+        predicted = problem.predicted(solution.values)[:, 0]
         share = float(predicted[-1] - predicted[np.flatnonzero(before)[-1]]) / strike.change
         return EXPLAINED < share < 1.0 / EXPLAINED
 
@@ -253,11 +254,9 @@ class OnlineFit:
             )
             self._results.append(StrikeFit(strike, samples[-1].time_ns, None, estimates))
             return
-        free = self._free(window)
-        fixed = self._settings.fixed_linear
         if strike.sharp:
-            window = refine_start(window, free, fixed, (strike.time_ns - strike.before_ns) / 1e9)
-        estimates = tuple(ESTIMATORS[name](window, free, fixed) for name in self._settings.estimators)
+            window = refine_start(window, self._settings, (strike.time_ns - strike.before_ns) / 1e9)
+        estimates = tuple(ESTIMATORS[name](window, self._settings) for name in self._settings.estimators)
         self._results.append(StrikeFit(strike, samples[-1].time_ns, window, estimates))
 
     def _window(self, samples: list[_Sample]) -> Window:
@@ -268,40 +267,23 @@ class OnlineFit:
             np.array([one.angular_velocity for one in samples]),
             self._window_speed(samples),
             self._window_torque(samples),
-            self._speed_std(samples),
         )
 
-    def _window_speed(self, samples: list[_Sample]) -> float:
-        speeds = np.array([one.speed for one in samples])
+    def _window_speed(self, samples: list[_Sample]) -> SpeedCurve:
+        if "speed" in self._settings.fixed:
+            return constant_speed(self._settings.fixed["speed"])
+        first, last = (bisect_right(self._speed.time, one.time_ns) for one in (samples[0], samples[-1]))
+        since = slice(max(first - 1, 0), last)
+        speeds = np.array(self._speed.value[since])
         if np.isfinite(speeds).any():
-            return float(np.nanmedian(speeds))
+            times = (np.array(self._speed.time[since]) - samples[0].time_ns) / NANOSECONDS
+            return speed_curve(times, speeds, self._settings.speed_model)
         if not np.isfinite(self._nominal_speed):
             raise ParameterError(
                 "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"
             )
-        return self._nominal_speed
-
-    def _speed_std(self, samples: list[_Sample]) -> float:
-        """Standard error [m/s] of the window's speed, the median of what was measured since the strike."""
-        if "speed" in self._settings.fixed or not samples:
-            return 0.0
-        first, last = (bisect_right(self._speed.time, one.time_ns) for one in (samples[0], samples[-1]))
-        measured = np.array(self._speed.value[max(first - 1, 0) : last])
-        measured = measured[np.isfinite(measured)]
-        return (
-            MEDIAN * float(np.std(measured, ddof=1)) / math.sqrt(len(measured)) if len(measured) > 1 else 0.0
-        )
+        return constant_speed(self._nominal_speed)
 
     def _window_torque(self, samples: list[_Sample]) -> Array | None:
         torque = np.array([one.steer_torque for one in samples])
         return torque if np.isfinite(torque).any() else None
-
-    def _free(self, window: Window) -> tuple[str, ...]:
-        if self._settings.free is not None:
-            return self._settings.free
-        absent = [
-            name
-            for name, channel in zip(BIASES, window.measured.T, strict=True)
-            if not np.isfinite(channel).any()
-        ]
-        return tuple(name for name in DEFAULT_FREE if name not in absent and name not in self._settings.fixed)

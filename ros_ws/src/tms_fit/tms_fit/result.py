@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from tms_fit.answer import COLOURED
 from tms_fit.estimate import Estimate
-from tms_fit.linear import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
 from tms_fit.strikes import StrikeSettings
@@ -22,6 +22,10 @@ def to_json(fit: RecordingFit) -> dict[str, Any]:
         "settings": {
             "free": list(fit.settings.free) if fit.settings.free else None,
             "fixed": dict(fit.settings.fixed),
+            "priors": {name: list(prior) for name, prior in fit.settings.priors.items()},
+            "speed_model": fit.settings.speed_model,
+            "resistance": fit.settings.resistance,
+            "channels": list(fit.settings.channels),
             "window": fit.settings.window,
             "steer_torque": fit.settings.steer_torque,
         },
@@ -36,7 +40,7 @@ def _strike(fit: StrikeFit) -> dict[str, Any]:
         "window": [fit.strike.time_ns, fit.end_ns],
         "lean_rate_change": fit.strike.change,
         "start_std": window.delay_std if window else None,
-        "speed": window.system.speed if window else None,
+        "speed": window.start_speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [_estimate(one) for one in fit.estimates],
     }
@@ -53,9 +57,15 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
                 estimate.names, estimate.values, estimate.std, estimate.ci95, strict=True
             )
         },
+        "known": dict(estimate.known),
         "vaf": estimate.vaf,
         "sample_count": estimate.sample_count,
         "residual_std": estimate.residual_std,
+        "log_likelihood": estimate.log_likelihood,
+        "aic": estimate.aic,
+        "bic": estimate.bic,
+        "noise": {"model": estimate.noise_model, **estimate.noise},
+        "correlation": estimate.correlation.tolist() if estimate.names else [],
         "residual_autocorrelation": estimate.residual_autocorrelation,
     }
 
@@ -70,7 +80,7 @@ def to_table(fit: RecordingFit) -> str:
         )
     for strike in fit.strikes:
         when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
-        speed = f"{strike.window.system.speed:7.3f}" if strike.window else "      -"
+        speed = f"{strike.window.start_speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")

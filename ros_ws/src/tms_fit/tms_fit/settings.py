@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from tms_model import ParameterError
+from tms_model.acceleration import RESISTANCES, Resistance
 from tms_model.response import STATE
 
 INITIAL = tuple(
@@ -15,26 +16,39 @@ INITIAL = tuple(
 BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
 CHANNELS = ("lean_rate", "yaw_rate")
 LINEAR = (*INITIAL, *BIASES)
-FIXED_ONLY = ("speed", "lean_rate_gain")  # [m/s], [N m s/rad]; never free
+NONLINEAR = (
+    "speed",  # [m/s] at the start of the free response
+    "rolling_resistance",  # C_r [-]: the speed falls by C_r g per second
+    "strike_time",  # [s] start of the free response, from the window's first sample on; not positive
+    "lean_rate_gain",  # [N m s/rad] steer torque per lean rate, by a controller
+    "mounting_pitch",  # [rad] of the sensor, nose up: leaks lean rate into its yaw rate
+)
+PARAMETERS = (*LINEAR, *NONLINEAR)
 DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
+
+STEER_TORQUES = ("auto", "feedback", "input", "ignore")
+SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
 
 
 @dataclass(frozen=True)
 class FitSettings:
     """Settings of a fit; a default stands here and nowhere else.
 
-    Raises ParameterError for unknown names, a parameter both free and fixed, a window out of range.
+    Raises ParameterError for unknown names, a parameter both free and fixed, a prior on one that is not free,
+    numbers out of range.
     """
 
-    free: tuple[str, ...] | None = None  # None: DEFAULT_FREE, without the bias of a channel that is not there
-    fixed: dict[str, float] = field(
-        default_factory=dict
-    )  # SI; `speed` and any linear parameter; others are 0
+    free: tuple[str, ...] | None = None  # of PARAMETERS; None: DEFAULT_FREE, no bias of an absent channel
+    fixed: Mapping[str, float] = field(default_factory=dict)  # SI; others are 0, or what was measured
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation, SI
     window: float = 1.5  # [s], longest free response used
     gyroscope_noise: float = (
         0.02  # [rad/s], standard deviation where the recording does not state it (running filter)
     )
-    steer_torque: str = "auto"  # how a known steer torque enters: auto, feedback, input, ignore
+    steer_torque: str = "auto"  # how a known steer torque enters, of STEER_TORQUES
+    speed_model: str = "auto"  # how the speed goes on after the strike, of SPEED_MODELS
+    resistance: Resistance = "rolling"  # by what a speed that changes is changed, of RESISTANCES
+    channels: tuple[str, ...] = CHANNELS  # compared with the model
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
     @property
@@ -43,17 +57,16 @@ class FitSettings:
         return {name: value for name, value in self.fixed.items() if name in LINEAR}
 
     def __post_init__(self) -> None:
-        check_known(self.free or (), LINEAR, "free")
-        check_known(self.fixed, (*LINEAR, *FIXED_ONLY), "fix")
-        check_known((self.steer_torque,), ("auto", "feedback", "input", "ignore"), "steer torque")
-        if self.free is not None and not self.free:
-            raise ParameterError(f"free: expected at least one of {', '.join(LINEAR)}, found none")
-        twice = [name for name in self.free or () if (self.free or ()).count(name) > 1]
-        if twice:
-            raise ParameterError(f"free: {twice[0]}: found twice, expected each name once")
-        both = [name for name in self.fixed if name in (self.free or ())]
-        if both:
-            raise ParameterError(f"{both[0]}: found both free and fixed; leave it out of one of the two")
+        check_known(self.free or (), PARAMETERS, "free")
+        check_known(self.fixed, PARAMETERS, "fix")
+        check_known(self.priors, PARAMETERS, "prior")
+        check_known((self.steer_torque,), STEER_TORQUES, "steer torque")
+        check_known((self.speed_model,), SPEED_MODELS, "speed model")
+        check_known((self.resistance,), RESISTANCES, "resistance")
+        check_known(self.channels, CHANNELS, "channels")
+        if not self.channels:
+            raise ParameterError(f"channels: expected at least one of {', '.join(CHANNELS)}, found none")
+        self._check_free()
         for name, value in self.fixed.items():
             if not math.isfinite(value) or (name == "speed" and value <= 0.0):
                 wanted = "a positive number of m/s" if name == "speed" else "a finite number"
@@ -64,6 +77,25 @@ class FitSettings:
             raise ParameterError(
                 f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"
             )
+
+    def _check_free(self) -> None:
+        """What is free, fixed and known beforehand must go together."""
+        if self.free is not None and not self.free:
+            raise ParameterError(f"free: expected at least one of {', '.join(PARAMETERS)}, found none")
+        twice = [name for name in self.free or () if (self.free or ()).count(name) > 1]
+        if twice:
+            raise ParameterError(f"free: {twice[0]}: found twice, expected each name once")
+        both = [name for name in self.fixed if name in (self.free or ())]
+        if both:
+            raise ParameterError(f"{both[0]}: found both free and fixed; leave it out of one of the two")
+        for name, (mean, std) in self.priors.items():
+            if name in self.fixed or (self.free is not None and name not in self.free):
+                raise ParameterError(f"prior: {name}: expected a free parameter; add it to what is free")
+            if not (math.isfinite(mean) and math.isfinite(std) and std > 0.0):
+                raise ParameterError(
+                    f"prior: {name}: expected a finite mean and a positive standard deviation, found"
+                    f" {mean:g} and {std:g}"
+                )
 
 
 def check_known(names: Iterable[str], expected: Iterable[str], what: str) -> None:

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from tms_model import Bicycle, LinearSystem, linear_system
+from tms_model import Bicycle
+from tms_model.acceleration import Resistance
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 
 from tms_fit.settings import FitSettings
+from tms_fit.speed_curve import SpeedCurve
 
 FEEDBACK_R2 = (
     0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
@@ -29,19 +31,25 @@ class Window:
     time: Array  # (n,) [s] since the first sample
     lean_rate: Array  # (n,) [rad/s]
     yaw_rate: Array  # (n,) [rad/s]
-    system: LinearSystem  # the bicycle at this window's speed, feedback included
-    steer_torque: Array | None  # (n,) [N m] known input, each value held until the next sample
-    lean_rate_gain: float  # [N m s/rad] lean-rate feedback on the steer torque, 0: none
-    torque_r2: float  # share of the known torque that is proportional to the lean rate, NaN: no torque known
+    bicycle: Bicycle  # compared with, without the feedback of this run
+    speed: SpeedCurve
+    steer_torque: Array | None = None  # (n,) [N m] known input, each value held until the next sample
+    lean_rate_gain: float = 0.0  # [N m s/rad] lean-rate feedback on the steer torque, 0: none
+    torque_r2: float = float("nan")  # share of the known torque proportional to the lean rate, NaN: no torque
     delay: float = 0.0  # [s]
     delay_std: float = 0.0  # [s]
-    bicycle: Bicycle | None = None  # whose `system` this is, for other speeds
-    speed_std: float = 0.0  # [m/s] standard error of the system's speed
+    longest_delay: float = 0.05  # [s]
+    resistance: Resistance = "rolling"  # by what the speed changes
 
     @property
     def start_ns(self) -> int:
         """Start of the free response."""
         return self.first_ns - round(self.delay * 1e9)
+
+    @property
+    def start_speed(self) -> float:
+        """Speed [m/s] at the start of the free response."""
+        return float(self.speed.at(-self.delay))
 
     @property
     def measured(self) -> Array:
@@ -54,14 +62,13 @@ def make_window(
     settings: FitSettings,
     time_ns: NDArray[np.int64],
     angular_velocity: Array,
-    speed: float,
+    speed: SpeedCurve,
     steer_torque: Array | None,
-    speed_std: float = 0.0,
 ) -> Window:
     """Window from the samples of one free response.
 
-    time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; speed [m/s]; steer_torque
-    (n,) [N m] or None; speed_std [m/s] is the speed's standard error.
+    time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; steer_torque (n,) [N m] or
+    None.
     """
     time = (time_ns - time_ns[0]) / 1e9
     lean_rate = angular_velocity[:, 0]
@@ -75,27 +82,30 @@ def make_window(
             gain = 0.0
     else:
         steer_torque = None
-    if "lean_rate_gain" in settings.fixed:
-        gain, steer_torque = settings.fixed["lean_rate_gain"], None
+    if "lean_rate_gain" in settings.fixed or "lean_rate_gain" in (settings.free or ()):
+        gain, steer_torque = settings.fixed.get("lean_rate_gain", gain), None
     return Window(
         first_ns=int(time_ns[0]),
         time=time,
         lean_rate=lean_rate,
         yaw_rate=yaw_rate,
-        system=linear_system(bicycle, speed, gain),
+        bicycle=bicycle,
+        speed=speed,
         steer_torque=steer_torque,
         lean_rate_gain=gain,
         torque_r2=r2,
-        bicycle=bicycle,
-        speed_std=speed_std,
+        resistance=settings.resistance,
     )
 
 
-def at_speed(window: Window, speed: float) -> Window:
-    """The same window compared with the bicycle at another speed [m/s]."""
-    if window.bicycle is None:
-        return window
-    return replace(window, system=linear_system(window.bicycle, speed, window.lean_rate_gain))
+def with_channels(window: Window, channels: tuple[str, ...]) -> Window:
+    """The same window with only some of its channels measured."""
+    absent = np.full(len(window.time), np.nan)
+    return replace(
+        window,
+        lean_rate=window.lean_rate if "lean_rate" in channels else absent,
+        yaw_rate=window.yaw_rate if "yaw_rate" in channels else absent,
+    )
 
 
 def _integral(time: Array, values: Array) -> Array:

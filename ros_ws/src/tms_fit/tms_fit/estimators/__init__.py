@@ -1,7 +1,6 @@
 """The estimators by name. A new one: one file here and one line below.
 
-Each is a function (window, free, fixed) -> Estimate: `free` names the parameters to estimate, `fixed` gives
-values of others.
+Each is a function (window, settings) -> Estimate.
 """
 
 from __future__ import annotations
@@ -10,13 +9,13 @@ from collections.abc import Callable
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
-from tms_fit.settings import check_known
+from tms_fit.settings import FitSettings, check_known
 from tms_fit.window import Window
 
-Estimator = Callable[[Window, tuple[str, ...], dict[str, float]], Estimate]
+Estimator = Callable[[Window, FitSettings], Estimate]
 
 ESTIMATORS: dict[str, Estimator] = {
-    "least_squares": least_squares.estimate,
+    "least_squares": least_squares.fit_window,
     "kalman_rts": kalman_rts.estimate,
     "som2011": som2011.estimate,
 }

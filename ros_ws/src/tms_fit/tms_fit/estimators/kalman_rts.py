@@ -16,61 +16,108 @@ Frazier (1963); G. J. Bierman, "Fixed interval smoothing with discrete measureme
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from tms_model import discretise
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
+from tms_fit.answer import in_order, variance_accounted_for
+from tms_fit.choices import choose
 from tms_fit.estimate import Estimate
-from tms_fit.estimators import least_squares
-from tms_fit.linear import Solution, answer
-from tms_fit.settings import BIASES, INITIAL
+from tms_fit.estimators.least_squares import fit_choice
+from tms_fit.motion import Motion, motion
+from tms_fit.projection import Problem
+from tms_fit.settings import BIASES, INITIAL, NONLINEAR, FitSettings
 from tms_fit.window import Window
 
 PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give
 
 
-def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Estimate:
-    """Smoothed initial state and biases."""
-    return answer(
-        "kalman_rts", "Kalman filter and smoother", window, free, fixed, lambda one: smooth(one, free, fixed)
+def estimate(window: Window, settings: FitSettings) -> Estimate:
+    """Smoothed initial state and biases; for NONLINEAR parameters the values of least squares."""
+    choice = choose(window, settings)
+    if not choice.problem.linear or choice.problem.priors:
+        return replace(
+            fit_choice("kalman_rts", choice, settings),
+            message="priors or no linear parameter: least squares instead of a smoother",
+        )
+    squares = fit_choice("kalman_rts", choice, settings)
+    if squares.status != "ok":
+        return in_order(squares, choice.free)
+    known = {name: value for name, value in squares.complete.items() if name not in choice.problem.linear}
+    problem = replace(choice.problem, nonlinear=(), known=known)
+    conditional = _inverse(squares.jacobian[:, :, : len(problem.linear)], problem.window)
+    values, inverse = smooth(problem, conditional)
+    if not (np.isfinite(values).all() and (np.diag(inverse) > 0.0).all()):
+        return Estimate(
+            "kalman_rts", "not_converged", "the solution lost its precision; free fewer parameters"
+        )
+    return in_order(_smoothed(squares, problem, values, inverse - conditional), choice.free)
+
+
+def _smoothed(squares: Estimate, problem: Problem, values: Array, difference: Array) -> Estimate:
+    """The estimate with the smoother's values, and its covariance of them when all else is known."""
+    count = len(problem.linear)
+    covariance = squares.covariance.copy()
+    covariance[:count, :count] += squares.noise["noise_std"] ** 2 * difference
+    together = np.concatenate([values, squares.values[count:]])
+    predicted = replace(problem, nonlinear=()).predicted(values)
+    residual = problem.window.measured - predicted
+    text = squares.message.replace("linear least squares", "Kalman filter and smoother")
+    return replace(
+        squares,
+        message=text.replace("least squares", "Kalman filter and smoother"),
+        values=together,
+        covariance=covariance,
+        predicted=predicted,
+        residual=residual,
+        whitened=residual / squares.noise["noise_std"],
+        vaf=variance_accounted_for(problem.window, predicted),
     )
 
 
-def smooth(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Solution:
-    """Smoothed values of `free` at the start of the free response, and their covariance for unit noise.
+def _inverse(jacobian: Array, window: Window) -> Array:
+    """Covariance (p, p) for unit noise variance by derivatives (n, 2, p)."""
+    rows = jacobian[np.isfinite(window.measured)]
+    scale = np.linalg.norm(rows, axis=0)
+    scaled = rows / scale
+    inverse: Array = np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale)
+    return inverse
 
-    Without process noise the values do not depend on the measurement noise and their covariance is
-    proportional to it, so the filter runs with unit noise. Its prior serves the recursion and is taken out
-    exactly at the end, so that the answer is what the data alone say: with curvature L and gradient l of
-    the adjoint pass at the start, prior x0, P0, the values are x0 - L^-1 l and their covariance L^-1 - P0
-    (from x0 - P0 l and P0 - P0 L P0 by the matrix inversion lemma). A prior as wide as ten standard errors
-    costs two digits in this; a diffuse one would cost all.
+
+def smooth(problem: Problem, rough: Array) -> tuple[Array, Array]:
+    """Smoothed values (p,) of a problem's linear parameters and their covariance (p, p) for unit noise.
+
+    rough: (p, p), about that covariance. Without process noise the values do not depend on the measurement
+    noise and their covariance is proportional to it, so the filter runs with unit noise. Its prior serves the
+    recursion and is taken out exactly at the end, so that the answer is what the data alone say: with
+    curvature L and gradient l of the adjoint pass at the start, prior x0, P0, the values are x0 - L^-1 l and
+    their covariance L^-1 - P0 (from x0 - P0 l and P0 - P0 L P0 by the matrix inversion lemma). A prior as
+    wide as ten standard errors costs two digits in this; a diffuse one would cost all.
     """
-    rough = least_squares.solve(window, free, fixed)
-    if not rough.observable:
-        return rough
-    prior = dict(zip(free, PRIOR * np.sqrt(np.diag(rough.inverse)), strict=True))
+    window, fixed = problem.window, problem.known
+    prior = dict(zip(problem.linear, PRIOR * np.sqrt(np.diag(rough)), strict=True))
     names = _names(prior)
     kalman = KalmanFilter(dim_x=len(names), dim_z=2, dim_u=1)
     kalman.x = np.array([[fixed.get(name, 0.0)] for name in names])
     kalman.P = np.diag([prior.get(name, 0.0) ** 2 for name in names])
     index = [names.index(name) for name in prior]
     start, uncertainty = kalman.x[index, 0], kalman.P[np.ix_(index, index)]
-    rows = _measurement_rows(window, names)
+    moved = motion(window, {name: value for name, value in fixed.items() if name in NONLINEAR})
     measured = window.measured - [0.0 if name in names else fixed.get(name, 0.0) for name in BIASES]
     torque = np.zeros(len(window.time)) if window.steer_torque is None else np.nan_to_num(window.steer_torque)
-    steps = np.round(np.diff(window.time, prepend=-window.delay), 9)
-    known = {step: _transition(window, float(step), len(names)) for step in set(steps.tolist())}
+    turn = _sensor_turn(fixed.get("mounting_pitch", 0.0))
     passed = []
-    for k, (step, sample) in enumerate(zip(steps.tolist(), measured, strict=True)):
-        transition, control = known[step]
+    for k, sample in enumerate(measured):
+        transition, control = _transition(moved, k, len(names))
+        rows = _measurement_rows(moved.yaw[k], names, turn)
         kalman.predict(u=np.array([[torque[max(k - 1, 0)]]]), B=control, F=transition, Q=0.0)
         passed.append((transition, *_update(kalman, rows, sample)))
     gradient, curvature = _backward(passed, len(names))
     inverse = np.linalg.inv(curvature[np.ix_(index, index)])
-    return Solution(start - inverse @ gradient[index, 0], inverse - uncertainty)
+    return start - inverse @ gradient[index, 0], inverse - uncertainty
 
 
 def _backward(passed: list[tuple[Array, Array, Array, Array, Array]], size: int) -> tuple[Array, Array]:
@@ -92,18 +139,24 @@ def _names(prior: dict[str, float]) -> tuple[str, ...]:
     return (*INITIAL, *(name for name in BIASES if name in prior))
 
 
-def _transition(window: Window, step: float, size: int) -> tuple[Array, Array]:
-    phi, gamma = discretise(window.system, step)
+def _transition(moved: Motion, k: int, size: int) -> tuple[Array, Array]:
+    """F (size, size) and the torque's column (size, 1) from the sample before to sample k."""
     transition, control = np.eye(size), np.zeros((size, 1))
-    transition[:4, :4], control[:4, 0] = phi, gamma
+    transition[:4, :4], control[:4, 0] = moved.transitions[k], moved.torque_steps[k]
     return transition, control
 
 
-def _measurement_rows(window: Window, names: tuple[str, ...]) -> Array:
+def _sensor_turn(pitch: float) -> Array:
+    """Rates as a sensor pitched nose up by an angle [rad] feels them: (2, 2)."""
+    return np.array([[np.cos(pitch), -np.sin(pitch)], [np.sin(pitch), np.cos(pitch)]])
+
+
+def _measurement_rows(yaw: Array, names: tuple[str, ...], turn: Array) -> Array:
     """H (2, size): lean rate and yaw rate from the state."""
     rows = np.zeros((2, len(names)))
     rows[0, LEAN_RATE] = 1.0
-    rows[1, :4] = window.system.yaw
+    rows[1, :4] = yaw
+    rows = turn @ rows
     for channel, name in enumerate(BIASES):
         if name in names:
             rows[channel, names.index(name)] = 1.0

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
+from tms_fit.choices import choose
 from tms_fit.estimate import Estimate
-from tms_fit.estimators.least_squares import solve
-from tms_fit.linear import answer
+from tms_fit.estimators.least_squares import fit_choice
+from tms_fit.settings import LINEAR, FitSettings
+from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 
 FREE = ("initial_lean_rate",)
 
 
-def estimate(window: Window, free: tuple[str, ...], fixed: dict[str, float]) -> Estimate:
-    """Initial lean rate from the lean rate; lean, steer, steer rate start at zero, whatever `free` says."""
-    lean_only = replace(window, yaw_rate=np.full(len(window.time), np.nan))
-    others = {name: value for name, value in fixed.items() if name not in FREE}
-    return answer(
-        "som2011", "least squares as in 2011", lean_only, FREE, others, lambda one: solve(one, FREE, others)
+def estimate(window: Window, settings: FitSettings) -> Estimate:
+    """Initial lean rate from the lean rate; lean, steer, steer rate start at zero, whatever is asked for."""
+    middle = float(window.speed.at(0.5 * window.time[-1])) if len(window.time) else window.start_speed
+    constant = replace(window, speed=constant_speed(middle, window.speed.std))
+    kept = (*LINEAR, "speed", "lean_rate_gain")
+    fixed = {k: v for k, v in settings.fixed.items() if k in kept and k not in FREE}
+    plain = replace(
+        settings, free=FREE, fixed=fixed, priors={}, channels=("lean_rate",), speed_model="constant"
     )
+    answer = fit_choice("som2011", choose(constant, plain), plain)
+    return replace(answer, message=answer.message.replace("linear least squares", "least squares as in 2011"))

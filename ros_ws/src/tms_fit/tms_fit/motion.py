@@ -1,0 +1,103 @@
+"""How the bicycle of a window gets from one sample to the next: transitions, for any speed over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from tms_model import Bicycle, ParameterError
+from tms_model.bicycle import Array
+from tms_model.exponential import expm
+from tms_model.response import FASTEST, state_matrix, torque_column, yaw_row
+from tms_model.varying_speed import varying_system
+
+from tms_fit.window import Window
+
+SLOWEST = 0.05  # [m/s]; a bicycle that stands has no response to compare
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """x[k] = transitions[k] x[k - 1] + torque_steps[k] T[k - 1]; x[-1] is the state at the start.
+
+    States in the order of tms_model.response.STATE; the yaw rate is yaw[k] x[k]. The torque before the first
+    sample is that of the first sample.
+    """
+
+    transitions: Array  # (n, 4, 4)
+    torque_steps: Array  # (n, 4), per N m
+    yaw: Array  # (n, 4)
+    speeds: Array  # (n,) [m/s]
+
+
+def known_values(window: Window) -> dict[str, float]:
+    """Values of the nonlinear parameters as the window has them, before anything is fitted.
+
+    No `rolling_resistance`: the speed follows the window's speed curve.
+    """
+    return {
+        "speed": window.start_speed,
+        "strike_time": -window.delay,
+        "lean_rate_gain": window.lean_rate_gain,
+        "mounting_pitch": 0.0,
+    }
+
+
+def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
+    """Motion of a window for nonlinear parameters by name; those left out are as `known_values` says.
+
+    Without `rolling_resistance`, the speed runs parallel to the window's curve; with it, it falls by C_r g
+    per second, whatever the curve. Raises ParameterError for a speed of zero or less at some sample, for a
+    start after the first sample, and for a bicycle that can't tell what a changing speed does.
+    """
+    values = {**known_values(window), **nonlinear}
+    start = values["strike_time"]
+    if not start <= (window.time[0] if len(window.time) else 0.0):
+        raise ParameterError(f"strike_time: expected no later than the first sample, found {start:g} s")
+    times = np.append(start, window.time)
+    bicycle = _with_feedback(window.bicycle, values["lean_rate_gain"])
+    if "rolling_resistance" in values:
+        falling = values["rolling_resistance"] * bicycle.gravity
+        speeds = values["speed"] - falling * (times - start)
+    elif window.speed.constant:
+        speeds = np.full(len(times), values["speed"])
+    else:
+        speeds = window.speed.at(times)
+        speeds = speeds + (values["speed"] - speeds[0])
+    if not (np.isfinite(speeds).all() and (speeds >= SLOWEST).all() and (speeds <= FASTEST).all()):
+        raise ParameterError(
+            f"speed: expected {SLOWEST:g} to {FASTEST:g} m/s over the whole window, found"
+            f" {speeds.min():g} to {speeds.max():g}; fit a shorter window"
+        )
+    transitions, torque_steps = _transitions(bicycle, times, speeds, window)
+    return Motion(transitions, torque_steps, yaw_row(bicycle, speeds[1:]), speeds[1:])
+
+
+def _transitions(bicycle: Bicycle, times: Array, speeds: Array, window: Window) -> tuple[Array, Array]:
+    # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
+    steps = np.round(np.diff(times), 9)
+    if (speeds == speeds[0]).all():
+        distinct, index = np.unique(steps, return_inverse=True)
+        generator = np.zeros((5, 5))
+        generator[:4, :4], generator[:4, 4] = state_matrix(bicycle, float(speeds[0])), torque_column(bicycle)
+        exponential = expm(generator * distinct[:, None, None])[index]
+        return exponential[:, :4, :4], exponential[:, :4, 4]
+    first = 1 if steps[0] == 0.0 else 0  # the strike fell on the first sample
+    system = varying_system(bicycle, times[first:], speeds[first:], window.resistance)
+    if not first:
+        return system.transitions, system.torque_steps
+    return (
+        np.concatenate([np.eye(4)[None], system.transitions]),
+        np.concatenate([np.zeros((1, 4)), system.torque_steps]),
+    )
+
+
+def _with_feedback(bicycle: Bicycle, lean_rate_gain: float) -> Bicycle:
+    """The bicycle with the controller of this run beside its own steer elements."""
+    if not lean_rate_gain:
+        return bicycle
+    elements = bicycle.steer_elements
+    return replace(
+        bicycle, steer_elements=replace(elements, lean_rate_gain=elements.lean_rate_gain + lean_rate_gain)
+    )

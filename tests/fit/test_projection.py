@@ -1,0 +1,164 @@
+"""Variable projection: the same minimum as brute force on all parameters; bounds, priors, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares as brute_force
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.prediction import STEPS, derivative, predictor
+from tms_fit.settings import NONLINEAR, PARAMETERS, FitSettings
+from tms_fit.speed_curve import SpeedCurve, constant_speed
+from tms_fit.window import Window
+from tms_model import load_bicycle
+
+TRUTH = {
+    "initial_lean_rate": 0.5,
+    "initial_steer_rate": -0.4,
+    "lean_rate_bias": 0.01,
+    "yaw_rate_bias": -0.02,
+    "speed": 3.6,
+    "rolling_resistance": 0.06,
+    "strike_time": -0.004,
+    "lean_rate_gain": 0.15,
+    "mounting_pitch": 0.05,
+}
+
+
+def made_window(truth: Mapping[str, float], seed: int = 1, count: int = 150, noise: float = 0.02) -> Window:
+    """A window that measures what `truth` predicts, with noise, every 10 ms."""
+    time = np.arange(count) * 0.01
+    absent = np.full(count, np.nan)
+    window = Window(0, time, absent, absent, load_bicycle("tms_eq_10_1"), constant_speed(truth["speed"]))
+    nonlinear = {name: value for name, value in truth.items() if name in NONLINEAR}
+    rates = predictor(window, nonlinear).predict(truth)
+    rates = rates + noise * np.random.default_rng(seed).standard_normal(rates.shape)
+    return replace(window, lean_rate=rates[:, 0], yaw_rate=rates[:, 1])
+
+
+FREE = {
+    "speed": ("initial_lean_rate", "speed"),
+    "speed and resistance": (
+        "initial_lean_rate",
+        "lean_rate_bias",
+        "yaw_rate_bias",
+        "speed",
+        "rolling_resistance",
+    ),
+    "start": ("strike_time", "initial_lean_rate"),
+    "gain": ("initial_lean_rate", "initial_steer_rate", "lean_rate_gain", "speed"),
+    "mounting": ("initial_lean_rate", "mounting_pitch", "rolling_resistance"),
+    "nothing linear": ("speed",),
+}
+
+
+@pytest.mark.parametrize("free", FREE.values(), ids=FREE)
+@pytest.mark.parametrize(
+    "priors", [{}, {"speed": (3.5, 0.02), "initial_lean_rate": (0.52, 0.01)}], ids=["", "priors"]
+)
+def test_it_is_the_minimum_over_all_parameters(
+    free: tuple[str, ...], priors: dict[str, tuple[float, float]]
+) -> None:
+    window = made_window(TRUTH)
+    fixed = {name: value for name, value in TRUTH.items() if name not in free}
+    held = {name: prior for name, prior in priors.items() if name in free}
+    estimate = fit_window(window, FitSettings(free=free, fixed=fixed, priors=held))
+    assert (estimate.status, estimate.names) == ("ok", free)
+    sigma = estimate.noise["noise_std"]
+
+    def residual(scaled: np.ndarray) -> np.ndarray:
+        values = {**fixed, **dict(zip(free, scaled * estimate.std + estimate.values, strict=True))}
+        nonlinear = {name: value for name, value in values.items() if name in NONLINEAR}
+        rates = predictor(window, nonlinear).predict(values)
+        offs = [(values[name] - mean) / std for name, (mean, std) in held.items()]
+        return np.concatenate([((window.measured - rates) / sigma).ravel(), offs])
+
+    # In standard errors from our answer; from two of them away.
+    found = brute_force(residual, np.full(len(free), 2.0), xtol=1e-12, ftol=1e-12, gtol=1e-12, jac="3-point")
+    np.testing.assert_allclose(found.x, 0.0, atol=2e-4)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    np.testing.assert_allclose(covariance, estimate.correlation, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_derivatives_are_exact(name: str) -> None:
+    # Against Richardson's extrapolation of wider differences, whose error is of fourth order.
+    window = made_window(TRUTH)
+    nonlinear = {key: value for key, value in TRUTH.items() if key in NONLINEAR}
+
+    def difference(step: float) -> np.ndarray:
+        ends = [
+            predictor(window, {**nonlinear, name: nonlinear[name] + sign * step}).predict(TRUTH)
+            for sign in (-1.0, 1.0)
+        ]
+        return np.asarray((ends[1] - ends[0]) / (2.0 * step))
+
+    step = 1e-3 if name != "strike_time" else 2e-4
+    exact = (4.0 * difference(step) - difference(2.0 * step)) / 3.0
+    ours = derivative(window, nonlinear, name).predict({**TRUTH, "lean_rate_bias": 0.0, "yaw_rate_bias": 0.0})
+    np.testing.assert_allclose(ours, exact, atol=2e-7 * np.abs(exact).max())
+
+
+def bounds_when_decelerating() -> list[np.ndarray]:
+    """Standard errors at 4 s of the initial lean rate alone, and of it, speed and resistance [1e-3 SI]."""
+    window = made_window(
+        {"initial_lean_rate": 0.5, "speed": 3.6, "rolling_resistance": 0.06}, count=400, noise=1e-6
+    )
+    lean_rate = FitSettings(free=("initial_lean_rate",), fixed={"speed": 3.6, "rolling_resistance": 0.06})
+    both = FitSettings(free=("initial_lean_rate", "speed", "rolling_resistance"))
+    found = [fit_window(window, settings) for settings in (lean_rate, both)]
+    return [1e3 * 0.02 * one.std / one.noise["noise_std"] for one in found]
+
+
+def test_speed_and_resistance_cost_little() -> None:
+    # With v(t) in Eq. (3.1) and all terms in v'.
+    alone, both = bounds_when_decelerating()
+    assert alone[0] == pytest.approx(0.97, abs=0.005)
+    assert both[0] == pytest.approx(1.40, abs=0.01)
+    assert both[2] / 60.0 == pytest.approx(0.0070, abs=0.0001)
+
+
+def test_bounds_without_the_terms_in_the_acceleration(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Computed by others with v(t) put into Eq. (3.1) and nothing else: 0.97 -> 1.18 mrad/s, C_r to 0.15 %.
+    monkeypatch.setattr(
+        "tms_model.varying_speed.acceleration_stiffness", lambda p, changes, r: np.zeros((len(changes), 2, 2))
+    )
+    alone, both = bounds_when_decelerating()
+    assert alone[0] == pytest.approx(0.97, abs=0.005)
+    assert both[0] == pytest.approx(1.18, abs=0.01)
+    assert both[2] / 60.0 == pytest.approx(0.0015, abs=0.00005)
+
+
+def test_a_speed_curve_is_followed() -> None:
+    # A curve that falls by 0.5886 m/s per second is C_r = 0.06.
+    falling = SpeedCurve(np.array([3.6, -0.06 * 9.81]), np.zeros((2, 2)))
+    window = replace(made_window(TRUTH), speed=falling)
+    by_curve = fit_window(window, FitSettings(free=("initial_lean_rate",)))
+    by_number = fit_window(
+        replace(window, speed=constant_speed(3.6)),
+        FitSettings(free=("initial_lean_rate",), fixed={"rolling_resistance": 0.06}),
+    )
+    np.testing.assert_allclose(by_curve.predicted, by_number.predicted, atol=1e-10)
+    assert "speed as measured" in by_curve.message
+
+
+def test_what_shapes_nothing_is_not_observable() -> None:
+    still = made_window({"speed": 3.6}, noise=0.0)
+    answer = fit_window(still, FitSettings(free=("speed",)))
+    assert (answer.status, answer.names) == ("not_observable", ())
+
+
+def test_a_bicycle_of_matrices_only_has_no_changing_speed() -> None:
+    window = made_window(TRUTH)
+    nameless = replace(window, bicycle=replace(window.bicycle, name="mine"))
+    answer = fit_window(nameless, FitSettings(free=("initial_lean_rate", "rolling_resistance")))
+    assert answer.status == "not_observable"
+    assert "masses and geometry" in answer.message
+
+
+def test_all_names_have_a_place() -> None:
+    assert set(TRUTH) <= set(PARAMETERS)
+    assert set(STEPS) == set(NONLINEAR)
