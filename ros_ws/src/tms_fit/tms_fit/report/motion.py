@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from tms_bag.samples import StateSamples
-from tms_model import response, yaw_rate
 from tms_model.bicycle import Array
 from tms_model.response import LEAN, STEER
 
 from tms_fit.comparison import Comparison
+from tms_fit.motion import motion
 from tms_fit.settings import INITIAL
 
 
@@ -26,18 +26,23 @@ class Motion:
     y: Array  # (n,) [m], to the right
 
 
-def predicted_motion(both: Comparison, fixed: dict[str, float]) -> Motion:
+def predicted_motion(both: Comparison) -> Motion:
     """The motion that an estimate predicts, from its initial state and the known steer torque on."""
-    parameters = {**fixed, **both.estimate.parameters}
-    start = np.array([parameters.get(name, 0.0) for name in INITIAL])
-    time, torque = both.time, both.shown.steer_torque
-    if time[0] > 0.0:  # the start lies between two samples
-        time = np.concatenate([[0.0], time])
-        torque = None if torque is None else np.concatenate([torque[:1], torque])
-    known = None if torque is None else np.nan_to_num(torque)
-    states = response(both.shown.system, start, time, known)
-    turning = yaw_rate(both.shown.system, states)
-    return _along(time, states[:, LEAN], states[:, STEER], _integral(time, turning), both.shown.system.speed)
+    steps = motion(both.shown, both.estimate.nonlinear)
+    torque = both.shown.steer_torque
+    known = np.zeros(len(both.time)) if torque is None else np.nan_to_num(torque)
+    state = np.array([both.estimate.complete.get(name, 0.0) for name in INITIAL])
+    states, turning = [state], [float(steps.yaw[0] @ state)]
+    for k, (transition, step) in enumerate(zip(steps.transitions, steps.torque_steps, strict=True)):
+        state = transition @ state + step * known[max(k - 1, 0)]
+        states.append(state)
+        turning.append(float(steps.yaw[k] @ state))
+    time = np.concatenate([[0.0], both.time])
+    speeds = np.concatenate([steps.speeds[:1], steps.speeds])
+    rows = slice(1, None) if both.time[0] <= 0.0 else slice(None)  # the strike fell on the first sample
+    lean, steer = np.array(states)[:, LEAN], np.array(states)[:, STEER]
+    yaw = _integral(time, np.array(turning))
+    return _along(time[rows], lean[rows], steer[rows], yaw[rows], speeds[rows])
 
 
 def true_motion(state: StateSamples, start_ns: int, first: float, last: float) -> Motion | None:
@@ -50,7 +55,7 @@ def true_motion(state: StateSamples, start_ns: int, first: float, last: float) -
     return _along(seconds[rows], lean, steer, state.yaw[rows], state.speed[rows])
 
 
-def _along(time: Array, lean: Array, steer: Array, yaw: Array, speed: float | Array) -> Motion:
+def _along(time: Array, lean: Array, steer: Array, yaw: Array, speed: Array) -> Motion:
     """The path from heading and speed; it begins where and as the free response does."""
     heading = yaw - np.interp(0.0, time, yaw)
     x, y = _integral(time, speed * np.cos(heading)), _integral(time, speed * np.sin(heading))

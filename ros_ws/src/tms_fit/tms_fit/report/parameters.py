@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from tms_fit.estimate import Estimate
 from tms_fit.online import StrikeFit
 from tms_fit.report.element import Element, element, table
@@ -16,7 +14,7 @@ RATE = "rad/s"
 def parameter_table(estimate: Estimate) -> Element:
     """Parameters of one estimate, and how they hang together."""
     std = estimate.std
-    correlation = estimate.covariance / np.outer(std, std)
+    correlation = estimate.correlation
     head = ["parameter", "value", "standard error", "95 % interval", "unit"]
     head += [f"corr. with {_words(name)}" for name in estimate.names] if len(estimate.names) > 1 else []
     rows: list[list[Element | str]] = []

@@ -64,7 +64,13 @@ def _settings(fit: RecordingFit) -> str:
     parts = [
         f"free {', '.join(settings.free or DEFAULT_FREE)}" + ("" if settings.free else " (default)"),
         *(f"{name} = {significant(value, 6)}" for name, value in settings.fixed.items()),
+        *(
+            f"{name} beforehand {significant(mean)} with standard deviation {significant(std)}"
+            for name, (mean, std) in settings.priors.items()
+        ),
         f"window {settings.window:g} s",
+        f"channels {', '.join(settings.channels)}",
+        f"speed model {settings.speed_model}, resistance {settings.resistance}",
         f"steer torque {settings.steer_torque}",
         f"estimators {', '.join(settings.estimators)}",
     ]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from tms_fit.answer import COLOURED
 from tms_fit.comparison import first_good
 from tms_fit.estimate import Estimate
-from tms_fit.linear import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
 from tms_fit.report.element import Element, element
@@ -66,7 +66,7 @@ def _agreement(fit: RecordingFit, strike: StrikeFit, estimate: Estimate) -> list
     span = (strike.end_ns - strike.start_ns) / 1e9
     return [
         f"Over the following {fixed(span, 2)} s the model of {fit.bicycle.name} at"
-        f" {fixed(strike.window.system.speed, 2)} m/s accounts for {' and '.join(shares)}. "
+        f" {fixed(strike.window.start_speed, 2)} m/s accounts for {' and '.join(shares)}. "
     ]
 
 

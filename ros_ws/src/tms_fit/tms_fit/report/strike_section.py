@@ -8,8 +8,8 @@ import numpy as np
 from tms_model import stability
 
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
+from tms_fit.motion import motion
 from tms_fit.offline import RecordingFit
-from tms_fit.prediction import predictor
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation
 from tms_fit.report.chart import Chart, Columns
@@ -51,7 +51,7 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
     if len(strike.estimates) > 1:
         tables.append(estimator_table(strike))
     if fit.recording.state is not None:
-        compared = truth_table(fit.recording.state, both, fit.settings.fixed_linear)
+        compared = truth_table(fit.recording.state, both)
         tables += [compared] if compared is not None else []
     return Section(
         name,
@@ -68,9 +68,7 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     present = tuple(
         name for name, values in zip(CHANNELS, both.used.measured.T, strict=True) if np.isfinite(values).any()
     )
-    residual = both.used.measured - predictor(both.used).predict(
-        {**fit.settings.fixed_linear, **both.estimate.parameters}
-    )
+    residual = both.estimate.residual
     data = {
         "series": datasets.series(both),
         "window": datasets.window(both),
@@ -95,28 +93,33 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     return charts, {**data, **more, **rest}
 
 
+def _gain(both: Comparison) -> float:
+    """Lean-rate feedback on the steer torque [N m s/rad], found or known."""
+    return both.estimate.complete.get("lean_rate_gain", both.used.lean_rate_gain)
+
+
 def _speed(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:
     last = float(both.time[-1])
     data: dict[str, Columns] = {
         "used_speed": {
-            "time": datasets.column([0.0, last]),
-            "speed": datasets.column([both.used.system.speed] * 2),
+            "time": datasets.column(both.time),
+            "speed": datasets.column(motion(both.shown, both.estimate.nonlinear).speeds),
         }
     }
     samples = datasets.speed_samples(fit, both.strike.start_ns, last)
     if samples is not None:
         data["speed"] = samples
-    bicycle = datasets.with_feedback(fit.bicycle, both.used.lean_rate_gain)
+    bicycle = datasets.with_feedback(fit.bicycle, _gain(both))
     edges = [low for low, _ in stability(bicycle).stable_speed_ranges if low > 0.0]
     data["onset"] = {"speed": datasets.column(edges[:1])}
     return speed_chart(samples is not None, bool(edges), fit.recording.state is not None), data
 
 
 def _eigenvalues(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:
-    bicycle = datasets.with_feedback(fit.bicycle, both.used.lean_rate_gain)
+    bicycle = datasets.with_feedback(fit.bicycle, _gain(both))
     run_speeds = datasets.run_speeds(fit, both)
     curves, names = datasets.eigenvalues(bicycle, run_speeds["high"][0])
-    gain = both.used.lean_rate_gain
+    gain = _gain(both)
     feedback = (
         f" with steer torque = {gain:.2f} N m s/rad times lean rate, as found in this run" if gain else ""
     )
@@ -129,7 +132,7 @@ def _eigenvalues(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, 
 
 
 def _motions(fit: RecordingFit, both: Comparison) -> dict[str, Columns]:
-    motions = {"predicted": _columns(predicted_motion(both, fit.settings.fixed_linear))}
+    motions = {"predicted": _columns(predicted_motion(both))}
     if fit.recording.state is not None:
         true = true_motion(fit.recording.state, both.strike.start_ns, -0.5, float(both.time[-1]))
         if true is not None:

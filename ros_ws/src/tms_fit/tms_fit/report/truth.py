@@ -13,16 +13,16 @@ from tms_fit.report.rounding import decimals, fixed, number
 from tms_fit.settings import BIASES, CHANNELS
 
 
-def truth_table(state: StateSamples, both: Comparison, given: dict[str, float]) -> Element | None:
+def truth_table(state: StateSamples, both: Comparison) -> Element | None:
     """Truth beside prediction at its first instant, and over what was fitted; None without samples there.
 
-    given: parameters that were not estimated. A bias is the sensor's, not the bicycle's: it is taken out.
+    A bias is the sensor's, not the bicycle's: it is taken out.
     """
     seconds = (state.time_ns - both.strike.start_ns) / 1e9
     rows = np.flatnonzero((seconds >= both.time[0]) & (seconds <= both.end))
     if len(rows) < 2:
         return None
-    parameters = {**given, **both.estimate.parameters}
+    parameters = both.estimate.complete
     biases = np.array([parameters.get(name, 0.0) for name in BIASES])
     true = np.stack([state.state[rows, LEAN_RATE], state.yaw_rate[rows]], axis=1)
     at = seconds[rows]
@@ -44,10 +44,10 @@ def truth_table(state: StateSamples, both: Comparison, given: dict[str, float]) 
             )
         rms = float(np.sqrt(np.mean(difference**2)))
         lines.append([f"{words}, root mean square of the difference [rad/s]", "", "", f"{rms:.2g}"])
-    used, mean = both.used.system.speed, float(np.mean(state.speed[rows]))
-    places = decimals(both.used.speed_std) if both.used.speed_std else 3
+    used, mean = both.used.start_speed, float(state.speed[rows[0]])
+    places = decimals(both.used.speed.std) if both.used.speed.std else 3
     lines.append(
-        ["speed, mean [m/s]", number(used, places), number(mean, places), number(used - mean, places)]
+        ["speed at the start [m/s]", number(used, places), number(mean, places), number(used - mean, places)]
     )
     return element(
         "section",
