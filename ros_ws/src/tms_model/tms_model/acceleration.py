@@ -101,6 +101,20 @@ def resistance_load(p: WhippleParameters, acceleration: float, resistance: Resis
     }[resistance]
 
 
+def normal_forces(
+    p: WhippleParameters, acceleration: float, resistance: Resistance = "rolling"
+) -> tuple[float, float]:
+    """Normal forces [N] on the rear and the front wheel at an acceleration [m/s^2], load transfer included.
+
+    Raises ParameterError as `resistance_load` does.
+    """
+    change = np.array([acceleration])
+    rear, front = _forces(p, change, resistance)
+    share = float(_front_weight_share(p, change, rear + front)[0])
+    weight = p.gravity * _totals(p).mass
+    return (1.0 - share) * weight, share * weight
+
+
 def acceleration_stiffness(
     p: WhippleParameters, acceleration: Array | float, resistance: Resistance = "rolling"
 ) -> Array:
