@@ -11,7 +11,13 @@ import pytest
 from tms_fit.settings import DEFAULT_FREE
 from tms_sim.scenario import load_scenario, scenario_names
 
-NOISY = [name for name in scenario_names() if load_scenario(name).text("imu.grade") != "ideal"]
+# Runs of the supplement's idealisation, with a sensor that isn't ideal: there the fit's model is the run's.
+NOISY = [
+    name
+    for name in scenario_names()
+    if (scenario := load_scenario(name)).text("imu.grade") != "ideal"
+    and not any(value is True for value in scenario.values.values())
+]
 TIMES = ["2.0", "2.0037", "1.7299"]  # on a sample, between two, just after one
 
 

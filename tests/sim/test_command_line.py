@@ -55,8 +55,9 @@ def test_same_seed_same_bytes_in_any_process() -> None:
 @pytest.mark.parametrize("name", scenario_names())
 def test_bag_holds_what_simulate_says(command: Any, tmp_path: Path, name: str) -> None:
     bag = tmp_path / "bag"
-    changes = {"seed": 11, "strike.time": 1.3}
-    done = command("tms_sim", "run", name, "-o", bag, "--seed", 11, "--set", "strike.time=1.3")
+    time = load_scenario(name).number("run_up.duration") + 1.3
+    changes = {"seed": 11, "strike.time": time}
+    done = command("tms_sim", "run", name, "-o", bag, "--seed", 11, "--set", f"strike.time={time}")
     assert (done.code, done.out, done.err) == (0, "", "")
     result = simulate(load_scenario(name, changes), np.random.default_rng(11))
     with BagReader(bag) as reader:

@@ -10,8 +10,9 @@ import pytest
 import yaml
 from tms_model import ParameterError
 from tms_sim.imu_grade import imu_names, load_imu, measure
+from tms_sim.keys import KEYS
 from tms_sim.run import simulate
-from tms_sim.scenario import FOLDER, KEYS, description, load_scenario, parse_change, scenario_names
+from tms_sim.scenario import FOLDER, description, load_scenario, parse_change, scenario_names
 
 
 def records(name: str, changes: dict[str, Any] | None = None) -> list[Any]:
@@ -65,7 +66,7 @@ WRONG_FILES = {
     "number for a group": ({"strike": 2.0}, "strike: expected keys time, lean_rate, steer_rate, found float"),
     "text for a number": (
         {"speed": "fast"},
-        "speed: expected constant forward speed [m/s], from 0.1 to 30, found 'fast'",
+        "speed: expected forward speed at the release [m/s], from 0.1 to 30, found 'fast'",
     ),
     "true for a number": ({"speed": True}, "found True"),
     "nothing": ({"speed": None}, "found None"),

@@ -6,7 +6,16 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
-    package_data={NAME: ["py.typed", "imus/*.yaml", "scenarios/*.yaml"]},
+    package_data={
+        NAME: [
+            "py.typed",
+            "floors/*.yaml",
+            "imus/*.yaml",
+            "interventions/*.yaml",
+            "scenarios/*.yaml",
+            "wheels/*.yaml",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

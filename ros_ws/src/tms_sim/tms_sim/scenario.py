@@ -1,66 +1,23 @@
 """Scenarios as data: what is run, how it is struck, how it is measured.
 
-One table, `KEYS`, says for each key its kind, unit, range and meaning. The YAML files in `scenarios/`, the
-command line's `--set` and the simulator node's parameters all go by it.
+One table, `tms_sim.keys.KEYS`, says for each key its kind, unit, range, meaning and default. The YAML files
+in `scenarios/`, the command line's `--set` and the simulator node's parameters all go by it.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 from tms_model import ParameterError
-from tms_model.catalogue import check_keys, read_yaml, unquoted
+from tms_model.catalogue import check_keys, read_yaml
+
+from tms_sim.keys import KEYS, Value, checked
 
 FOLDER = Path(__file__).parent / "scenarios"
 TEXT = ("description", "source", "uncertainty")
-Value = str | int | float | tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Key:
-    """One key of a scenario."""
-
-    kind: type  # str, int, float or tuple (of three floats)
-    meaning: str  # with its unit
-    low: float = -math.inf
-    high: float = math.inf
-
-
-KEYS: dict[str, Key] = {
-    "bicycle": Key(str, "name in the catalogue of bicycles, or a .yaml file"),
-    "speed": Key(float, "constant forward speed [m/s]", 0.1, 30.0),
-    "duration": Key(float, "length of the run [s]", 0.1, 3600.0),
-    "strike.time": Key(float, "when the strike falls [s since the start]", 0.0, 3600.0),
-    "strike.lean_rate": Key(
-        float, "lean rate right after the strike, positive to the right [rad/s]", -10.0, 10.0
-    ),
-    "strike.steer_rate": Key(
-        float, "steer rate right after the strike, positive to the right [rad/s]", -100.0, 100.0
-    ),
-    "steer_torque.lean_rate_gain": Key(
-        float, "steer torque per lean rate, 0: none [N m s/rad]", -1000.0, 1000.0
-    ),
-    "imu.grade": Key(str, "name of the inertial sensor"),
-    "imu.rate": Key(float, "samples a second [Hz]", 1.0, 4000.0),
-    "imu.position": Key(
-        tuple, "place in rear_frame, REP-103 axes, from the rear wheel contact [m]", -10.0, 10.0
-    ),
-    "imu.orientation_deg": Key(
-        tuple, "roll, pitch, yaw of imu_link in rear_frame, REP-103 [deg]", -360.0, 360.0
-    ),
-    "speed_sensor.rate": Key(float, "samples a second [Hz]", 0.1, 1000.0),
-    "speed_sensor.noise": Key(float, "standard deviation of one sample [m/s]", 0.0, 10.0),
-    "state_rate": Key(float, "samples of the truth a second [Hz]", 1.0, 4000.0),
-    "seed": Key(int, "seed of all noise", 0, 2**63 - 1),
-    # ROS counts the seconds of a stamp in 31 bits, and the longest run takes 3600 of them.
-    "start_time_ns": Key(
-        int, "time stamp of the start [ns]; ROS takes 0 for 'no time'", 1, (2**31 - 3601) * 10**9
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -75,6 +32,17 @@ class Scenario:
         value = self.values[key]
         assert isinstance(value, int | float)
         return float(value)
+
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """Values of a key that holds one number for each strike."""
+        value = self.values[key]
+        return value if isinstance(value, tuple) else (self.number(key),)
+
+    def switch(self, key: str) -> bool:
+        """Value of a key that is true or false."""
+        value = self.values[key]
+        assert isinstance(value, bool)
+        return value
 
     def integer(self, key: str) -> int:
         """Value of an integer key."""
@@ -120,13 +88,10 @@ def load_scenario(name: str, changes: dict[str, Any] | None = None) -> Scenario:
         if key not in KEYS:
             raise ParameterError(f"unknown key {key!r}: expected one of {', '.join(KEYS)}")
         values[key] = value
-    checked = {key: _check(key, values[key]) for key in KEYS}
-    if not float(checked["strike.time"]) < float(checked["duration"]):  # type: ignore[arg-type]
-        raise ParameterError(
-            f"strike.time: expected a strike inside the record of {checked['duration']:g} s, found"
-            f" {checked['strike.time']:g} s"
-        )
-    return Scenario(path.stem, checked)
+    values = {key: checked(key, values[key]) for key in KEYS}
+    scenario = Scenario(path.stem, values)
+    _check_strikes(scenario)
+    return scenario
 
 
 def description(name: str) -> str:
@@ -146,38 +111,53 @@ def parse_change(text: str) -> tuple[str, Any]:
 
 
 def _flat(document: dict[str, Any], where: str) -> dict[str, Any]:
+    """Every key with its value in the file, or the one that stands for it. Raises ParameterError."""
     groups: dict[str, list[str]] = {}
     for key in KEYS:
         group, _, leaf = key.rpartition(".")
         groups.setdefault(group, []).append(leaf)
-    top = tuple(groups.pop("")) + tuple(groups)
-    check_keys(document, (*TEXT, *top), where)
+    top = [*groups.pop(""), *groups]
+    needed = {key.split(".")[0] for key, rule in KEYS.items() if rule.default is None}
+    check_keys(
+        document,
+        (*TEXT, *(name for name in top if name in needed)),
+        where,
+        tuple(name for name in top if name not in needed),
+    )
+    found: dict[str, Any] = {}
     for group, leaves in groups.items():
-        check_keys(document[group], tuple(leaves), f"{where}: {group}")
-    return {
-        key: document[key.rpartition(".")[0]][key.rpartition(".")[2]] if "." in key else document[key]
-        for key in KEYS
-    }
+        rules = {leaf: KEYS[f"{group}.{leaf}"] for leaf in leaves}
+        said = document.get(group, {})
+        check_keys(
+            said,
+            tuple(leaf for leaf, rule in rules.items() if rule.default is None),
+            f"{where}: {group}",
+            tuple(leaf for leaf, rule in rules.items() if rule.default is not None),
+        )
+        found |= {f"{group}.{leaf}": value for leaf, value in said.items()}
+    found |= {name: document[name] for name in top if name not in groups and name in document}
+    return {key: found.get(key, rule.default) for key, rule in KEYS.items()}
 
 
-def _check(key: str, value: Any) -> Value:
-    """The value in the key's kind and range. Raises ParameterError."""
-    rule = KEYS[key]
-    if rule.kind is str:
-        if isinstance(value, str) and value:
-            return value
-        raise ParameterError(f"{key}: expected {rule.meaning}, found {value!r}")
-    items = list(value) if rule.kind is tuple and isinstance(value, list | tuple) else [value]
-    items = [unquoted(item) for item in items]
-    note = {tuple: ", three numbers", int: ", a whole number"}.get(rule.kind, "")
-    wanted = f"{rule.meaning}, from {rule.low:g} to {rule.high:g}{note}"
-    if len(items) != (3 if rule.kind is tuple else 1):
-        raise ParameterError(f"{key}: expected {wanted}, found {value!r}")
-    for item in items:
-        kinds = (int,) if rule.kind is int else (int, float)
-        if isinstance(item, bool) or not isinstance(item, kinds) or not rule.low <= item <= rule.high:
-            raise ParameterError(f"{key}: expected {wanted}, found {value!r}")
-    if rule.kind is int:
-        return int(items[0])
-    numbers = tuple(float(item) for item in items)
-    return numbers if rule.kind is tuple else numbers[0]
+def _check_strikes(scenario: Scenario) -> None:
+    """Raise ParameterError unless strikes fall inside the run, one by one, each told whole."""
+    times, length = scenario.numbers("strike.time"), scenario.number("duration")
+    for key in ("strike.lean_rate", "strike.steer_rate"):
+        if len(scenario.numbers(key)) not in (1, len(times)):
+            raise ParameterError(
+                f"{key}: expected one number, or as many as strike.time ({len(times)}), found"
+                f" {len(scenario.numbers(key))}"
+            )
+    before = scenario.number("run_up.duration")
+    lasts = scenario.number("strike.duration")
+    for time in times:
+        if time < before:
+            raise ParameterError(
+                f"strike.time: expected strikes after the release and one after the other, found one at"
+                f" {time:g} s, before {before:g} s"
+            )
+        if not time + lasts < length:
+            raise ParameterError(
+                f"strike.time: expected a strike inside the record of {length:g} s, found {time:g} s"
+            )
+        before = time + lasts

@@ -22,8 +22,9 @@ from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 from tms_model import ParameterError
 
+from tms_sim.keys import KEYS
 from tms_sim.run import simulate
-from tms_sim.scenario import KEYS, Scenario, load_scenario
+from tms_sim.scenario import Scenario, load_scenario
 
 TICK = 0.002  # [s] of real time between looks at the clock
 # [ns] of simulated time published at once: a late tick must not outrun the subscribers' history.
