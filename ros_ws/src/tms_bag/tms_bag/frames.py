@@ -6,6 +6,7 @@ Format: https://mcap.dev/spec
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -21,13 +22,15 @@ from mcap.records import Chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # [bytes] opcode and length
-LARGEST_CHUNK = 2**29  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
+LARGEST_CHUNK = 2**27  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
 
 # What parsing a damaged record can raise, from the mcap library, struct and the decompressors.
 DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, zstandard.ZstdError)
 
+LARGEST_RECORD = LARGEST_CHUNK + 2**16  # [bytes] a chunk that is not compressed, and its head
+
 _HEADER = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_WINDOW = 2**20  # [bytes] read at once when going through a file
 
 
 class Frame(NamedTuple):
@@ -38,21 +41,16 @@ class Frame(NamedTuple):
     stop: int  # [bytes] one after its last
 
 
-class Message(NamedTuple):
-    """A message, not yet assigned to its channel."""
-
-    log_time: int  # [ns]
-    publish_time: int  # [ns]
-    channel: int
-    data: bytes
-
-
 def frames_of_file(file: BinaryIO, start: int, size: int) -> Iterator[Frame]:
     """Frames from byte `start` on, as long as they are complete; ends quietly where they aren't any more."""
-    position = start
+    position, window, window_start = start, b"", start
     while position + HEADER_SIZE <= size:
-        file.seek(position)
-        opcode, length = _HEADER.unpack(file.read(HEADER_SIZE))
+        if not window_start <= position <= window_start + len(window) - HEADER_SIZE:
+            file.seek(position)
+            # Behind a record that is longer than the window, the next one is likely to be so, too.
+            window = file.read(_WINDOW if position - window_start <= _WINDOW else HEADER_SIZE)
+            window_start = position
+        opcode, length = _HEADER.unpack_from(window, position - window_start)
         content = position + HEADER_SIZE
         if opcode == 0 or length > size - content:  # 0 is not an opcode
             return
@@ -60,39 +58,15 @@ def frames_of_file(file: BinaryIO, start: int, size: int) -> Iterator[Frame]:
         position = content + length
 
 
-def frames_in(data: bytes) -> Iterator[Frame]:
-    """Frames of the content of a chunk. ValueError if they don't fill it."""
-    position, size = 0, len(data)
-    while position < size:
-        opcode, length = _HEADER.unpack_from(data, position)
-        position += HEADER_SIZE
-        if opcode == 0 or length > size - position:
-            raise ValueError(f"record of {length} bytes at {position} of {size}")
-        yield Frame(opcode, position, position + length)
-        position += length
-
-
-def messages_in(data: bytes) -> Iterator[Message]:
-    """Messages of the content of a chunk, in the order in which they were written."""
-    for opcode, start, stop in frames_in(data):
-        if opcode == Opcode.MESSAGE:
-            yield message_at(data, start, stop)
-
-
-def message_at(data: bytes, start: int, stop: int) -> Message:
-    """The message between two places. ValueError if it is too short to be one."""
-    if stop - start < _MESSAGE.size:
-        raise ValueError(f"message record of {stop - start} bytes")
-    channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
-    return Message(log_time, publish_time, channel, data[start + _MESSAGE.size : stop])
-
-
 def content_of(file: BinaryIO, frame: Frame) -> bytes:
-    """Content of a record. ValueError if it is larger than anything that a recorder writes."""
-    if frame.stop - frame.start > LARGEST_CHUNK:
-        raise ValueError(f"record of {frame.stop - frame.start} bytes")
-    file.seek(frame.start)
-    return file.read(frame.stop - frame.start)
+    """Content of a record. ValueError if it is larger than anything that a recorder writes, or cut off."""
+    size = frame.stop - frame.start
+    if size > LARGEST_RECORD:
+        raise ValueError(f"record of {size} bytes, more than {LARGEST_RECORD}")
+    data = os.pread(file.fileno(), size, frame.start)  # leaves the file's place to whoever else reads it
+    if len(data) != size:
+        raise ValueError(f"{len(data)} bytes instead of {size}: the file has become shorter")
+    return data
 
 
 def stream_of(data: bytes) -> ReadDataStream:
@@ -105,10 +79,9 @@ def chunk_content(record: bytes) -> bytes:
     chunk = Chunk.read(stream_of(record))
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
-        raise ValueError(f"chunk of {size} bytes")
+        raise ValueError(f"chunk of {size} bytes, more than {LARGEST_CHUNK}")
     if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-            data = reader.read(size + 1)  # not more, whatever the compressed data hold
+        data = _unpacked_zstd(chunk.data, size)
     elif chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif chunk.compression == "":
@@ -120,3 +93,11 @@ def chunk_content(record: bytes) -> bytes:
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("wrong checksum of a chunk")
     return data
+
+
+def _unpacked_zstd(packed: bytes, size: int) -> bytes:
+    """At most one byte more than `size`, whatever the compressed data say of themselves or hold."""
+    if zstandard.frame_content_size(packed) == size:
+        return zstandard.ZstdDecompressor().decompress(packed)
+    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+        return reader.read(size + 1)

@@ -11,11 +11,13 @@ import zlib
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 
 from tms_bag import frames
+from tms_bag.block import MESSAGE_HEAD, Block, block_of
 from tms_bag.channel import Channel, stored_channel
 from tms_bag.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
 from tms_bag.metadata import custom_data_of_record
@@ -32,6 +34,7 @@ class Span:
     start_ns: int  # earliest log time
     end_ns: int  # latest log time
     loose: bool
+    channels: frozenset[int] | None = None  # those that have messages in it; None: not known
 
 
 @dataclass
@@ -85,7 +88,7 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
         return None
     builder = _Builder(file)
     statistics: list[Statistics] = []
-    for frame in frames.frames_in(summary):
+    for frame in block_of(summary)[1]:
         content = summary[frame.start : frame.stop]
         if frame.opcode == Opcode.STATISTICS:
             statistics.append(Statistics.read(frames.stream_of(content)))
@@ -111,7 +114,10 @@ def scan(file: BinaryIO, size: int) -> FileIndex:
             builder.index.damaged_chunks += 1
         if frame.opcode == Opcode.FOOTER:
             break
-    builder.end_loose_run()
+    try:
+        builder.end_loose_run()
+    except DAMAGE:
+        builder.index.damaged_chunks += 1
     file.seek(end)
     closed = last_opcode == Opcode.FOOTER and file.read(len(MAGIC) + 1) == MAGIC
     index = builder.index
@@ -137,7 +143,7 @@ class _Builder:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._chunk_count = 0
-        self._loose: list[int] = []  # start, stop, earliest, latest of the current run
+        self._loose: tuple[int, int] | None = None  # start and stop of the current run
 
     def add_record(self, frame: Frame) -> None:
         """A record of the data section; one of DAMAGE if it can't be read."""
@@ -183,8 +189,9 @@ class _Builder:
         self._chunk_count += 1
         if entry.message_index_offsets or entry.message_end_time:  # else there is no message in it
             frame = Frame(Opcode.CHUNK, start, stop)
+            channels = frozenset(entry.message_index_offsets) or None  # empty: written without message index
             self.index.spans.append(
-                Span(frame, entry.message_start_time, entry.message_end_time, loose=False)
+                Span(frame, entry.message_start_time, entry.message_end_time, loose=False, channels=channels)
             )
 
     def index_with(self, statistics: Statistics) -> FileIndex | None:
@@ -203,43 +210,38 @@ class _Builder:
         return self.index
 
     def _add_chunk(self, frame: Frame) -> None:
-        content = frames.chunk_content(frames.content_of(self._file, frame))
-        times, counts = [], dict(self.index.counts)
-        for opcode, start, stop in frames.frames_in(content):
-            if opcode == Opcode.MESSAGE:
-                message = frames.message_at(content, start, stop)
-                times.append(message.log_time)
-                counts[message.channel] = counts.get(message.channel, 0) + 1
-            else:
-                self.add_definition(opcode, content[start:stop])
-        self.index.counts = counts
-        if times:
-            self.index.spans.append(Span(frame, min(times), max(times), loose=False))
+        block, others = block_of(frames.chunk_content(frames.content_of(self._file, frame)))
+        for opcode, start, stop in others:
+            self.add_definition(opcode, block.content[start:stop])
+        self._add_span(block, frame, loose=False)
+
+    def _add_span(self, block: Block, frame: Frame, loose: bool) -> None:
+        """Messages of a chunk or of a run of loose ones."""
+        if not block.channel.size:
+            return
+        numbers, counts = (found.tolist() for found in np.unique(block.channel, return_counts=True))
+        for number, count in zip(numbers, counts, strict=True):
+            self.index.counts[number] = self.index.counts.get(number, 0) + count
+        earliest, latest = int(block.log_time.min()), int(block.log_time.max())
+        self.index.spans.append(Span(frame, earliest, latest, loose, frozenset(numbers)))
 
     def _add_loose_message(self, frame: Frame) -> None:
-        head = frames.content_of(
-            self._file, Frame(frame.opcode, frame.start, min(frame.stop, frame.start + 22))
-        )
-        message = frames.message_at(head, 0, len(head))
-        self.index.counts[message.channel] = self.index.counts.get(message.channel, 0) + 1
+        if frame.stop - frame.start < MESSAGE_HEAD:
+            raise ValueError(f"message record of {frame.stop - frame.start} bytes")
         start = frame.start - HEADER_SIZE
         if self._loose and (self._loose[1] != start or frame.stop - self._loose[0] > _LOOSE_RUN):
             self.end_loose_run()
-        if not self._loose:
-            self._loose = [start, frame.stop, message.log_time, message.log_time]
-        self._loose[1] = frame.stop
-        self._loose[2] = min(self._loose[2], message.log_time)
-        self._loose[3] = max(self._loose[3], message.log_time)
+        self._loose = (self._loose[0] if self._loose else start, frame.stop)
 
     def end_loose_run(self) -> None:
-        """Close the current run of messages outside chunks."""
-        if self._loose:
-            start, stop, earliest, latest = self._loose
-            self.index.spans.append(Span(Frame(Opcode.MESSAGE, start, stop), earliest, latest, loose=True))
-        self._loose = []
+        """Close the current run of messages outside chunks; one of DAMAGE if it can't be read."""
+        run, self._loose = self._loose, None
+        if run:
+            frame = Frame(Opcode.MESSAGE, *run)
+            self._add_span(block_of(frames.content_of(self._file, frame))[0], frame, loose=True)
 
 
-def span_messages(file: BinaryIO, span: Span) -> list[frames.Message]:
-    """Messages of a span, in the order in which they were written. One of DAMAGE if they can't be read."""
+def block_at(file: BinaryIO, span: Span) -> Block:
+    """Messages of a span. One of DAMAGE if they can't be read."""
     content = frames.content_of(file, span.frame)
-    return list(frames.messages_in(content if span.loose else frames.chunk_content(content)))
+    return block_of(content if span.loose else frames.chunk_content(content))[0]

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -54,9 +56,20 @@ def deserialize(data: bytes, type_name: str) -> Any:
         ) from error
 
 
-def field_definitions(type_name: str) -> list[tuple[str, Any]]:
-    """Fields of a message type in their order: name, and rosbags' description of what it is."""
-    return list(_store_with(type_name).fielddefs[type_name][1])
+def all_fields(type_name: str) -> Mapping[str, Any]:
+    """Constants and fields of a message type and of all others that are known, as rosbags describes them."""
+    return _store_with(type_name).fielddefs
+
+
+def types_in(definition: Any) -> list[str]:
+    """Names of the message types that a type consists of, of its constants and fields."""
+    found = []
+    for _, (kind, content) in definition[1]:
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            kind, content = content[0]
+        if kind == Nodetype.NAME:
+            found.append(str(content))
+    return found
 
 
 @cache

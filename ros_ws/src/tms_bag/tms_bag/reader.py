@@ -4,17 +4,30 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
+
 from tms_bag import metadata
+from tms_bag.advance import in_advance
+from tms_bag.block import Block, within
 from tms_bag.channel import ENCODING, Channel
+from tms_bag.columns import Collector, Columns
+from tms_bag.definitions import fields_of
 from tms_bag.errors import RecordingError
 from tms_bag.frames import DAMAGE, MAGIC
-from tms_bag.index import FileIndex, Span, index_file, scan, span_messages
+from tms_bag.index import FileIndex, Span, block_at, index_file, scan
+from tms_bag.layout import Fields
 from tms_bag.record import Record
+
+
+MOST_OVERLAPPING = 1000  # parts whose times overlap; each of them is held until its last message is due
+
+_Step = tuple[int, int, int, int, Record]
 
 
 class Topic(NamedTuple):
@@ -111,46 +124,121 @@ class BagReader:
         At equal times in the order in which they were written. RecordingError if a message can't be read, or
         if `topics` asks for one that isn't there.
         """
-        first = 0 if start_ns is None else start_ns
-        last = 2**64 if stop_ns is None else stop_ns
+        first, last = _interval(start_ns, stop_ns)
         if topics is not None:
             self._check_topics(topics)
-        spans = [
-            (span.start_ns, file_number, span.frame.start, span)
-            for file_number, index in enumerate(self._indexes)
-            for span in index.spans
-            if span.start_ns < last and span.end_ns >= first
-        ]
-        pending: list[tuple[int, int, int, int, Record]] = []
-        for span_start, file_number, place, span in sorted(spans, key=lambda entry: entry[:3]):
-            while pending and pending[0][0] < span_start:
-                yield heapq.heappop(pending)[-1]
-            for order, record in enumerate(self._span_records(file_number, span, topics)):
-                if first <= record.time_ns < last:
-                    heapq.heappush(pending, (record.time_ns, file_number, place, order, record))
-        while pending:
-            yield heapq.heappop(pending)[-1]
+        active: list[tuple[int, int, int, int, Record, Iterator[_Step]]] = []
+        for span_start, file_number, span, numbers in self._spans(topics, first, last):
+            while active and active[0][0] < span_start:
+                yield _next_of(active)
+            if len(active) >= MOST_OVERLAPPING:
+                raise RecordingError(
+                    f"{self.path}: expected parts in much the order of time, found {len(active)} that overlap;"
+                    f" `tms bag repair {self.path} -o NEW` can't help: record with one clock"
+                )
+            steps = self._steps(file_number, span, numbers, first, last)
+            step = next(steps, None)
+            if step is not None:
+                heapq.heappush(active, (*step, steps))
+        while active:
+            yield _next_of(active)
 
-    def _span_records(self, file_number: int, span: Span, topics: Collection[str] | None) -> Iterator[Record]:
-        file, channels = self._files[file_number], self._indexes[file_number].channels
+    def columns(
+        self,
+        topics: Mapping[str, Collection[str] | None],
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> dict[str, Columns]:
+        """Messages of these topics as arrays, from `start_ns` up to but not including `stop_ns` (log time).
+
+        To each topic belong the fields wanted, None: all numbers and texts; what a type doesn't have is left
+        out. Parts of the file that hold nothing of all that aren't read. RecordingError if there is no such
+        topic, if a message isn't of its topic's type, or if messages aren't alike enough to be columns.
+        """
+        self._check_topics(topics)
+        first, last = _interval(start_ns, stop_ns)
+        collectors = {}
+        for name, fields in topics.items():
+            collectors[name] = Collector(name, self._type_of(name), fields, self._expected(name))
+        spans = self._spans(topics, first, last)
+        for file_number, numbers, block in in_advance(
+            (partial(self._part, file_number, span, numbers) for _, file_number, span, numbers in spans)
+        ):
+            for number in numbers:
+                channel = self._indexes[file_number].channels[number]
+                rows = np.flatnonzero((block.channel == number) & within(block.log_time, first, last))
+                if rows.size:
+                    collectors[channel.name].add(block, rows, self._fields(channel))
+        return {name: collector.columns() for name, collector in collectors.items()}
+
+    def _part(
+        self, file_number: int, span: Span, numbers: Sequence[int]
+    ) -> tuple[int, Sequence[int], Block]:
+        return file_number, numbers, self._block(file_number, span)
+
+    def _fields(self, channel: Channel) -> Fields:
+        if channel.encoding != ENCODING:
+            raise RecordingError(
+                f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found {channel.encoding!r} on"
+                f" {channel.name}; choose topics without it"
+            )
+        return fields_of(channel)
+
+    def _type_of(self, name: str) -> str:
+        types = sorted({topic.type for topic in self.topics if topic.name == name and topic.count})
+        if len(types) > 1:
+            raise RecordingError(
+                f"{self.path}: expected messages of one type on {name}, found {', '.join(types)}"
+            )
+        return types[0] if types else next(topic.type for topic in self.topics if topic.name == name)
+
+    def _expected(self, name: str) -> int:
+        """Messages to make room for at once: not more than a file of this size is likely to hold."""
+        size = sum(os.fstat(file.fileno()).st_size for file in self._files)
+        return min(sum(topic.count for topic in self.topics if topic.name == name), size // 16)
+
+    def _spans(
+        self, topics: Collection[str] | None, first: int, last: int
+    ) -> list[tuple[int, int, Span, list[int]]]:
+        """Parts that may hold messages of these topics in this interval, in the order of their first times.
+
+        With each: the number of its file, and the channels wanted.
+        """
+        found = []
+        for file_number, index in enumerate(self._indexes):
+            wanted = [n for n, channel in index.channels.items() if topics is None or channel.name in topics]
+            for span in index.spans:
+                numbers = [n for n in wanted if span.channels is None or n in span.channels]
+                if numbers and span.start_ns < last and span.end_ns >= first:
+                    found.append((span.start_ns, file_number, span, numbers))
+        return sorted(found, key=lambda entry: (entry[0], entry[1], entry[2].frame.start))
+
+    def _block(self, file_number: int, span: Span) -> Block:
         try:
-            messages = span_messages(file, span)
+            return block_at(self._files[file_number], span)
         except DAMAGE as error:
             raise RecordingError(
                 f"{self.path}: the part that starts at byte {span.frame.start} is damaged ({error});"
                 f" `tms bag repair {self.path} -o NEW` saves the rest"
             ) from error
-        for message in messages:
-            channel = channels.get(message.channel)
-            if channel is None or (topics is not None and channel.name not in topics):
-                continue
-            if channel.encoding != ENCODING and not self.salvage:
-                raise RecordingError(
-                    f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found"
-                    f" {channel.encoding!r} on"
-                    f" {channel.name}; choose topics without it"
-                )
-            yield Record(channel.name, channel.type, message.log_time, message.data, message.publish_time)
+
+    def _steps(
+        self, file_number: int, span: Span, numbers: Sequence[int], first: int, last: int
+    ) -> Iterator[_Step]:
+        """Messages of a part in the order of log time, and what they are sorted by."""
+        block, channels = self._block(file_number, span), self._indexes[file_number].channels
+        rows = block.rows_in_time_order(numbers, first, last)
+        content, place = block.content, span.frame.start
+        for order, (start, size, number, time, sent) in enumerate(
+            zip(
+                *(array[rows].tolist() for array in (block.start, block.size, block.channel)),
+                *(array[rows].tolist() for array in (block.log_time, block.publish_time)),
+                strict=True,
+            )
+        ):
+            channel = channels[number]
+            record = Record(channel.name, channel.type, time, content[start : start + size], sent)
+            yield time, file_number, place, order, record
 
     def _check_topics(self, topics: Collection[str]) -> None:
         there = {topic.name for topic in self.topics}
@@ -177,6 +265,21 @@ class BagReader:
                 f"{path}: expected an MCAP file, found {found}; there is nothing to read in it"
             )
         self._indexes.append(scan(file, size) if self.salvage else index_file(file, size))
+
+
+def _interval(start_ns: int | None, stop_ns: int | None) -> tuple[int, int]:
+    return 0 if start_ns is None else start_ns, 2**64 if stop_ns is None else stop_ns
+
+
+def _next_of(active: list[tuple[int, int, int, int, Record, Iterator[_Step]]]) -> Record:
+    """The earliest record; the next one of its part takes its place."""
+    *_, record, steps = active[0]
+    following = next(steps, None)
+    if following is None:
+        heapq.heappop(active)
+    else:
+        heapq.heapreplace(active, (*following, steps))
+    return record
 
 
 def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:

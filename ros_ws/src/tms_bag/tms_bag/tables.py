@@ -7,25 +7,20 @@ all their messages are equally long, and each number stands at the same place in
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
 from tms_bag.errors import RecordingError
-from tms_bag.messages import field_definitions
+from tms_bag.layout import ENCAPSULATION, arranged
+from tms_bag.messages import all_fields
 from tms_bag.samples import IntArray
 
 Table = NDArray[np.void]  # structured; columns are called as in the message, for example angular_velocity.x
 
-_ENCAPSULATION = {b"\x00\x01": "<", b"\x00\x00": ">"}  # plain CDR, little and big endian
-_FORMATS = {"bool": "?", "byte": "u1", "char": "u1"}  # what numpy calls otherwise
-_STAMP, _LENGTH, _TEXT = (
-    4,
-    12,
-    16,
-)  # [bytes] where the header's stamp, the length of its text and the text stand
+_LENGTH, _TEXT = 12, 16  # [bytes] where the length of the header's text and the text stand
 
 
 class MessageError(RecordingError):
@@ -89,7 +84,7 @@ def _read_group(
     type_name: str, head: bytes, messages: Sequence[bytes], members: Sequence[int]
 ) -> tuple[Table, str]:
     """Messages with the same encapsulation and frame; `members` are their rows."""
-    order, text = _ENCAPSULATION.get(head[:2], ""), head[2 + _TEXT - _LENGTH :]
+    order, text = ENCAPSULATION.get(head[:2], ""), head[2 + _TEXT - _LENGTH :]
     layout = _layout(type_name, len(text), order or "<", padded=False)
     readable = order and text[-1:] in (b"\x00", b"")
     for row, data in zip(members, messages, strict=True):
@@ -102,32 +97,8 @@ def _read_group(
 @lru_cache(maxsize=256)
 def _layout(type_name: str, text_length: int, order: str, padded: bool) -> np.dtype[np.void]:
     """Where each number stands in a message whose frame_id has this length, its final zero counted."""
-    names, formats, offsets = (
-        ["stamp.sec", "stamp.nanosec"],
-        [order + "i4", order + "u4"],
-        [_STAMP, _STAMP + 4],
-    )
-    position = _TEXT + text_length
-    for name, kind, count in _numbers(type_name, ""):
-        size = np.dtype(kind).itemsize
-        position += (_STAMP - position) % size  # aligned from the end of the 4 bytes of encapsulation
-        names.append(name)
-        formats.append(order + kind if count is None else f"({count},){order}{kind}")
-        offsets.append(position)
-        position += size * (count or 1)
-    itemsize = position + -position % 4 if padded else position
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize})
-
-
-def _numbers(type_name: str, prefix: str) -> Iterator[tuple[str, str, int | None]]:
-    """Name, numpy format and length (None: no array) of each number in a message, in its order."""
-    for name, (kind, content) in field_definitions(type_name):
-        if kind == Nodetype.NAME:
-            if prefix or name != "header":
-                yield from _numbers(content, f"{prefix}{name}.")
-            continue
-        count = content[1] if kind == Nodetype.ARRAY else None
-        element = content[0] if kind == Nodetype.ARRAY else (kind, content)
-        if element[0] != Nodetype.BASE or element[1][0] == "string":
-            raise TypeError(f"{type_name}.{name} has no fixed size")
-        yield prefix + name, _FORMATS.get(element[1][0]) or np.dtype(element[1][0]).str[1:], count
+    found = arranged(all_fields(type_name), type_name, order, lambda place: text_length, 2**16)
+    if found.lengths != (_LENGTH,) or "header.frame_id" not in found.texts:
+        raise TypeError(f"{type_name} has no fixed size")
+    short = replace(found, names=tuple(name.removeprefix("header.") for name in found.names))
+    return short.columns(itemsize=found.size + -found.size % 4 if padded else 0)
