@@ -66,26 +66,34 @@ def block_of(content: bytes) -> tuple[Block, list[Frame]]:
 
     ValueError if the records don't fill the content, or if a message is too short to be one.
     """
-    places, others = _split(content)
+    block, others, stop = begun_block_of(content)
+    short = next((frame for frame in others if frame.opcode == Opcode.MESSAGE), None)
+    if stop != len(content) or short:
+        wrong = f"message record of {short.stop - short.start} bytes" if short else f"no record at {stop}"
+        raise ValueError(f"{wrong} in {len(content)} bytes")
+    return block, others
+
+
+def begun_block_of(content: bytes) -> tuple[Block, list[Frame], int]:
+    """Messages and all other records as far as they are complete, and where that ends.
+
+    Messages that are too short to be one stand among the others.
+    """
+    places, others, stop = _split(content)
     if not places.size:
-        empty = np.empty(0, np.uint64)
-        whole = np.empty(0, np.int64)
-        return Block(content, whole, whole, empty.astype(np.uint16), empty, empty), others
+        none = np.empty(0, np.uint64)
+        nowhere = np.empty(0, np.int64)
+        return Block(content, nowhere, nowhere, none.astype(np.uint16), none, none), others, stop
     head = at_places(content, places, _HEAD)
-    size = head["length"].astype(np.int64) - MESSAGE_HEAD
-    if (size < 0).any():
-        raise ValueError(f"message record of {int(head['length'].min())} bytes")
-    return (
-        Block(
-            content,
-            places + _HEAD_SIZE,
-            size,
-            head["channel"].copy(),
-            head["log_time"].copy(),
-            head["publish_time"].copy(),
-        ),
-        others,
+    block = Block(
+        content=content,
+        start=places + _HEAD_SIZE,
+        size=head["length"].astype(np.int64) - MESSAGE_HEAD,
+        channel=head["channel"].copy(),
+        log_time=head["log_time"].copy(),
+        publish_time=head["publish_time"].copy(),
     )
+    return block, others, stop
 
 
 def at_places(content: bytes, places: NDArray[np.int64], kind: np.dtype[np.void]) -> NDArray[np.void]:
@@ -107,40 +115,43 @@ def at_places(content: bytes, places: NDArray[np.int64], kind: np.dtype[np.void]
     return windows[places].view(kind)
 
 
-def _split(content: bytes) -> tuple[NDArray[np.int64], list[Frame]]:
-    """Where the message records start, and all other records.
+def _split(content: bytes) -> tuple[NDArray[np.int64], list[Frame], int]:
+    """Where the message records start, all other records, and where the complete records end.
 
     Runs of equally long messages are found all at once, everything else record by record.
     """
-    runs: list[NDArray[np.int64]] = []
+    runs: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     others: list[Frame] = []
-    position, size, walk = 0, len(content), 0
-    while position < size:
+    position, walk = 0, 0
+    while True:
         if walk == 0:
-            run = _run(content, position)
-            if run.size:
-                runs.append(run)
-                position = int(run[-1]) + HEADER_SIZE + _RECORD.unpack_from(content, int(run[-1]))[1]
+            run, position = _run(content, position)
+            runs.append(run)
             walk = _LONGEST_WALK if run.size < 64 else 1
             continue
         places: list[int] = []
+        before = position
         for opcode, start, stop in _records(content, position, walk):
-            if opcode == Opcode.MESSAGE:
+            if opcode == Opcode.MESSAGE and stop - start >= MESSAGE_HEAD:
                 places.append(start - HEADER_SIZE)
             else:
                 others.append(Frame(opcode, start, stop))
             position = stop
         runs.append(np.array(places, np.int64))
+        if position == before:
+            return np.concatenate(runs), others, position
         walk = 0
-    return (np.concatenate(runs) if runs else np.empty(0, np.int64)), others
 
 
-def _run(content: bytes, position: int) -> NDArray[np.int64]:
-    """Starts of the message records from `position` on that are as long as the first of them."""
-    if len(content) - position < HEADER_SIZE or content[position] != Opcode.MESSAGE:
-        return np.empty(0, np.int64)
+def _run(content: bytes, position: int) -> tuple[NDArray[np.int64], int]:
+    """Starts of the message records from `position` on that are as long as the first, and where they end."""
+    none = np.empty(0, np.int64), position
+    if len(content) - position < _HEAD_SIZE or content[position] != Opcode.MESSAGE:
+        return none
     first = content[position : position + HEADER_SIZE]
     step = HEADER_SIZE + _RECORD.unpack(first)[1]
+    if step < _HEAD_SIZE:
+        return none
     count, found, tried = (len(content) - position) // step, 0, 64
     while found < count:  # twice as many each time, so that a short run doesn't cost a look at everything
         tried = min(2 * tried, count - found)
@@ -151,20 +162,18 @@ def _run(content: bytes, position: int) -> NDArray[np.int64]:
             found += int(np.argmax(other))
             break
         found += tried
-    return position + step * np.arange(found, dtype=np.int64)
+    return np.asarray(position + step * np.arange(found, dtype=np.int64)), position + step * found
 
 
 def _records(content: bytes, position: int, count: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and stop of the content of the next `count` records. ValueError if one is cut off."""
+    """Opcode, start and stop of the content of the next `count` records, as far as they are complete."""
     size, unpack = len(content), _RECORD.unpack_from
     for _ in range(count):
-        if position >= size:
-            return
         if size - position < HEADER_SIZE:
-            raise ValueError(f"{size - position} bytes behind the last record")
+            return
         opcode, length = unpack(content, position)
         start = position + HEADER_SIZE
         position = start + length
         if opcode == 0 or position > size:  # 0 is not an opcode
-            raise ValueError(f"record of {length} bytes at {start} of {size}")
+            return
         yield opcode, start, position

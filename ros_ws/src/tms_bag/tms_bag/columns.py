@@ -40,8 +40,18 @@ class Columns:
     values: dict[str, Column]  # (n,) or (n, k) by the field's name, for example angular_velocity.x
     texts: dict[str, tuple[str, ...]]  # different values of each text, in the order in which they come first
 
+    @property
+    def time_ns(self) -> IntArray:
+        """Stamps of the messages (n,) [ns]; log times where the type has no header."""
+        return self.log_time_ns if self.stamp_ns is None else self.stamp_ns
+
+    @property
+    def frame_id(self) -> str:
+        """The first message's frame, empty without one."""
+        return next(iter(self.texts.get(FRAME_ID, ())), "")
+
     def __len__(self) -> int:
-        return self.log_time_ns.size
+        return int(self.log_time_ns.size)
 
     def __getitem__(self, name: str) -> Column:
         return self.values[name]
@@ -60,13 +70,20 @@ class Collector:
         self.topic, self.type = topic, type_name
         self._wanted = None if wanted is None else {*wanted}
         self._expected = expected
+        self._shapes: list[_Shape] = []
+        self._begin()
+
+    def _begin(self) -> None:
         self._log_time, self._publish_time, self._stamp = (
-            _Growing(np.dtype(np.int64), (), expected) for _ in range(3)
+            _Growing(np.dtype(np.int64), (), self._expected) for _ in range(3)
         )
         self._values: dict[str, _Growing] = {}
         self._texts: dict[str, dict[bytes, None]] = {}
-        self._shapes: list[_Shape] = []
         self._count = 0
+
+    def __len__(self) -> int:
+        """Messages since the last `columns`."""
+        return self._count
 
     def add(self, block: Block, rows: IntArray, fields: Fields) -> None:
         """Messages of a block. RecordingError if one isn't of the topic's type."""
@@ -92,7 +109,7 @@ class Collector:
         self._count += rows.size
 
     def columns(self) -> Columns:
-        """All of it, in the order of log time."""
+        """What was added since the last time, in the order of log time."""
         log_time = self._log_time.whole(self._count)
         order = None if (log_time[1:] >= log_time[:-1]).all() else np.argsort(log_time, kind="stable")
 
@@ -100,7 +117,7 @@ class Collector:
             values = growing.whole(self._count)
             return values if order is None else values[order]
 
-        return Columns(
+        found = Columns(
             topic=self.topic,
             type=self.type,
             log_time_ns=log_time if order is None else log_time[order],
@@ -108,10 +125,12 @@ class Collector:
             stamp_ns=finished(self._stamp) if self._stamp.used else None,
             values={name: finished(self._values.pop(name)) for name in list(self._values)},
             texts={
-                name: tuple(text.decode("utf-8", "replace") for text in found)
-                for name, found in self._texts.items()
+                name: tuple(text.decode("utf-8", "replace") for text in texts)
+                for name, texts in self._texts.items()
             },
         )
+        self._begin()
+        return found
 
     def _shape(self, data: bytes, fields: Fields, log_time: int) -> _Shape:
         """One that the message fits. RecordingError if it isn't of the type."""

@@ -9,11 +9,12 @@ that it has no orientation; samples with one go to `imu/data`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from tms_bag import topics
+from tms_bag.columns import FRAME_ID, Columns
 from tms_bag.errors import RecordingError
 from tms_bag.messages import deserialize, message_type, serialize
 from tms_bag.record import Record
@@ -31,6 +32,8 @@ from tms_bag.samples import (
 from tms_bag.tables import MessageError, Table, new_table, read_table, rows, stamps
 
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
+Messages: TypeAlias = "Iterable[Record] | Columns"  # of one topic, as they come or read as arrays
+
 WORLD, REAR_FRAME, FRONT_FRAME = "world", "rear_frame", "front_frame"
 
 _STATE = ("lean", "steer", "lean_rate", "steer_rate")
@@ -40,6 +43,23 @@ _TRUTH = (
 )  # fmt: skip
 _CONTACTS = ("rear_contact", "front_contact")
 _LEAN_YAW = ("lean", "lean_rate", "yaw_rate")
+_RUN_INFO = ("bicycle", "speed", "simulated", "seed", "source", "version", "source_sha256", "configuration")
+_COVARIANCES = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
+
+# What of each topic's messages becomes samples: the rest need not be read.
+FIELDS: dict[str, tuple[str, ...]] = {
+    topics.IMU: (
+        *(f"{vector}.{axis}" for vector in ("angular_velocity", "linear_acceleration") for axis in "xyz"),
+        *(f"orientation.{axis}" for axis in "xyzw"),
+        *_COVARIANCES,
+    ),
+    topics.MAGNETIC: (*(f"magnetic_field.{axis}" for axis in "xyz"), "magnetic_field_covariance"),
+    topics.LEAN_YAW: (*_LEAN_YAW, *(f"{name}_valid" for name in _LEAN_YAW), "saturation"),
+    topics.SPEED: ("twist.linear.x",),
+    topics.SPEED_COVARIANCE: ("twist.twist.linear.x", "twist.covariance"),
+    topics.STEER_TORQUE: ("steer_torque",),
+    topics.STATE: (*_STATE, *_TRUTH, *_CONTACTS, "phase"),
+}
 
 
 def imu_records(samples: ImuSamples) -> Iterator[Record]:
@@ -60,12 +80,12 @@ def imu_records(samples: ImuSamples) -> Iterator[Record]:
     return _records(topic, samples.time_ns, table)
 
 
-def imu_samples(records: Iterable[Record]) -> ImuSamples:
+def imu_samples(messages: Messages) -> ImuSamples:
     """Angular velocity, specific force and orientation; NaN where a message says that it has none (REP-145).
 
     Without orientation in any message it is None.
     """
-    table, frames = _read(topics.IMU, records)
+    table = _read(topics.IMU, messages)
     rates, forces = _vectors(table, "angular_velocity"), _vectors(table, "linear_acceleration")
     rate_covariance, force_covariance = (
         table["angular_velocity_covariance"],
@@ -73,18 +93,18 @@ def imu_samples(records: Iterable[Record]) -> ImuSamples:
     )
     rates[rate_covariance[:, 0] == -1.0] = np.nan
     forces[force_covariance[:, 0] == -1.0] = np.nan
-    if not frames:
-        return ImuSamples(stamps(table), rates, forces)
+    if not len(table):
+        return ImuSamples(table.time_ns, rates, forces)
     absent = table["orientation_covariance"][:, 0] == -1.0
     orientation = np.stack([_column(table, f"orientation.{axis}") for axis in "xyzw"], axis=1)
     orientation[absent] = np.nan
     return ImuSamples(
-        time_ns=stamps(table),
+        time_ns=table.time_ns,
         angular_velocity=rates,
         specific_force=forces,
         angular_velocity_variance=_variance(rate_covariance[0]),
         specific_force_variance=_variance(force_covariance[0]),
-        frame_id=frames[0],
+        frame_id=table.frame_id,
         orientation=None if absent.all() else orientation,
         orientation_variance=_variance(table["orientation_covariance"][int(np.argmin(absent))]),
     )
@@ -98,13 +118,15 @@ def magnetic_records(samples: MagneticSamples) -> Iterator[Record]:
     return _records(topics.MAGNETIC, samples.time_ns, table)
 
 
-def magnetic_samples(records: Iterable[Record]) -> MagneticSamples:
+def magnetic_samples(messages: Messages) -> MagneticSamples:
     """Magnetic flux density."""
-    table, frames = _read(topics.MAGNETIC, records)
+    table = _read(topics.MAGNETIC, messages)
     field = _vectors(table, "magnetic_field")
-    if not frames:
-        return MagneticSamples(stamps(table), field)
-    return MagneticSamples(stamps(table), field, _variance(table["magnetic_field_covariance"][0]), frames[0])
+    if not len(table):
+        return MagneticSamples(table.time_ns, field)
+    return MagneticSamples(
+        table.time_ns, field, _variance(table["magnetic_field_covariance"][0]), table.frame_id
+    )
 
 
 def lean_yaw_records(samples: LeanYawSamples) -> Iterator[Record]:
@@ -117,13 +139,13 @@ def lean_yaw_records(samples: LeanYawSamples) -> Iterator[Record]:
     return _records(topics.LEAN_YAW, samples.time_ns, table)
 
 
-def lean_yaw_samples(records: Iterable[Record]) -> LeanYawSamples:
+def lean_yaw_samples(messages: Messages) -> LeanYawSamples:
     """Lean, lean rate and yaw rate; NaN where the message marks them as not valid."""
-    table, _ = _read(topics.LEAN_YAW, records)
+    table = _read(topics.LEAN_YAW, messages)
     lean, lean_rate, yaw_rate = (
         np.where(table[f"{name}_valid"], _column(table, name), np.nan) for name in _LEAN_YAW
     )
-    return LeanYawSamples(stamps(table), lean, lean_rate, yaw_rate, table["saturation"].astype(np.uint8))
+    return LeanYawSamples(table.time_ns, lean, lean_rate, yaw_rate, table["saturation"].astype(np.uint8))
 
 
 def speed_records(samples: SpeedSamples) -> Iterator[Record]:
@@ -133,10 +155,10 @@ def speed_records(samples: SpeedSamples) -> Iterator[Record]:
     return _records(topics.SPEED, samples.time_ns, table)
 
 
-def speed_samples(records: Iterable[Record]) -> SpeedSamples:
+def speed_samples(messages: Messages) -> SpeedSamples:
     """Forward speed."""
-    table, _ = _read(topics.SPEED, records)
-    return SpeedSamples(stamps(table), _column(table, "twist.linear.x"))
+    table = _read(topics.SPEED, messages)
+    return SpeedSamples(table.time_ns, _column(table, "twist.linear.x"))
 
 
 def speed_covariance_records(samples: SpeedSamples) -> Iterator[Record]:
@@ -147,12 +169,12 @@ def speed_covariance_records(samples: SpeedSamples) -> Iterator[Record]:
     return _records(topics.SPEED_COVARIANCE, samples.time_ns, table)
 
 
-def speed_covariance_samples(records: Iterable[Record]) -> SpeedSamples:
+def speed_covariance_samples(messages: Messages) -> SpeedSamples:
     """Forward speed and its variance."""
-    table, _ = _read(topics.SPEED_COVARIANCE, records)
+    table = _read(topics.SPEED_COVARIANCE, messages)
     variance = np.array(table["twist.covariance"][:, 0], dtype=np.float64)
     variance[~(variance > 0.0)] = np.nan
-    return SpeedSamples(stamps(table), _column(table, "twist.twist.linear.x"), variance)
+    return SpeedSamples(table.time_ns, _column(table, "twist.twist.linear.x"), variance)
 
 
 def steer_torque_records(samples: SteerTorqueSamples) -> Iterator[Record]:
@@ -162,10 +184,10 @@ def steer_torque_records(samples: SteerTorqueSamples) -> Iterator[Record]:
     return _records(topics.STEER_TORQUE, samples.time_ns, table)
 
 
-def steer_torque_samples(records: Iterable[Record]) -> SteerTorqueSamples:
+def steer_torque_samples(messages: Messages) -> SteerTorqueSamples:
     """Known steer torque."""
-    table, _ = _read(topics.STEER_TORQUE, records)
-    return SteerTorqueSamples(stamps(table), _column(table, "steer_torque"))
+    table = _read(topics.STEER_TORQUE, messages)
+    return SteerTorqueSamples(table.time_ns, _column(table, "steer_torque"))
 
 
 def state_records(samples: StateSamples) -> Iterator[Record]:
@@ -178,14 +200,15 @@ def state_records(samples: StateSamples) -> Iterator[Record]:
     return _records(topics.STATE, samples.time_ns, table)
 
 
-def state_samples(records: Iterable[Record]) -> StateSamples:
+def state_samples(messages: Messages) -> StateSamples:
     """True state."""
-    table, _ = _read(topics.STATE, records)
+    table = _read(topics.STATE, messages)
     return StateSamples(
-        time_ns=stamps(table),
+        time_ns=table.time_ns,
         state=np.stack([_column(table, name) for name in _STATE], axis=1),
-        phase=table["phase"].astype(np.uint8),
-        **{name: _column(table, name) for name in (*_TRUTH, *_CONTACTS)},
+        phase=table["phase"].astype(np.uint8) if "phase" in table else np.zeros(len(table), np.uint8),
+        **{name: _column(table, name) for name in _TRUTH},
+        **{name: _column(table, name, (2,)) for name in _CONTACTS},
     )
 
 
@@ -219,23 +242,17 @@ def run_info_records(info: RunInfo) -> Iterator[Record]:
     )
 
 
-def run_info(record: Record) -> RunInfo:
-    """RunInfo of a message."""
-    m = deserialize(record.data, record.type)
+def run_info(record: Record, message: Any = None) -> RunInfo:
+    """RunInfo of a message; `message` is its object, by default made with the type installed here."""
+    m = deserialize(record.data, record.type) if message is None else message
     position, rotation = m.imu_mounting.translation, m.imu_mounting.rotation
+    since = {name: getattr(m, name) for name in _RUN_INFO if hasattr(m, name)}  # a version may lack some
     return RunInfo(
         start_ns=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
-        bicycle=m.bicycle,
         parameters=dict(zip(m.parameter_names, m.parameter_values.tolist(), strict=False)),
-        speed=m.speed,
         imu_position=np.array([position.x, position.y, position.z]),
         imu_orientation=np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
-        simulated=m.simulated,
-        seed=m.seed,
-        source=m.source,
-        version=m.version,
-        source_sha256=m.source_sha256,
-        configuration=m.configuration,
+        **since,
     )
 
 
@@ -251,13 +268,24 @@ def _records(topic: str, time_ns: IntArray, table: Table) -> Iterator[Record]:
     )
 
 
-def _read(topic: str, records: Iterable[Record]) -> tuple[Table, list[str]]:
-    listed = list(records)
+def _read(topic: str, messages: Messages) -> Columns:
+    if isinstance(messages, Columns):
+        return messages
+    listed = list(messages)
     try:
-        return read_table(topics.TYPES[topic], [record.data for record in listed])
+        table, frames = read_table(topics.TYPES[topic], [record.data for record in listed])
     except MessageError as error:
         wrong = listed[error.row]
         raise RecordingError(f"{wrong.topic} at {wrong.time_ns} ns: {error}") from error
+    return Columns(
+        topic=topic,
+        type=topics.TYPES[topic],
+        log_time_ns=np.array([record.time_ns for record in listed], np.int64),
+        publish_time_ns=np.array([record.publish_time_ns or record.time_ns for record in listed], np.int64),
+        stamp_ns=stamps(table),
+        values={name: table[name] for name in table.dtype.names or ()},
+        texts={FRAME_ID: tuple(dict.fromkeys(frames))},
+    )
 
 
 def _check_times(time_ns: IntArray) -> None:
@@ -271,11 +299,14 @@ def _put_vectors(table: Table, name: str, vectors: FloatArray) -> None:
         table[f"{name}.{axis}"] = vectors[:, number]
 
 
-def _vectors(table: Table, name: str) -> FloatArray:
+def _vectors(table: Columns, name: str) -> FloatArray:
     return np.stack([_column(table, f"{name}.{axis}") for axis in "xyz"], axis=1)
 
 
-def _column(table: Table, name: str) -> FloatArray:
+def _column(table: Columns, name: str, shape: tuple[int, ...] = ()) -> FloatArray:
+    """A number of each message; NaN where an older version of the type doesn't have it."""
+    if name not in table:
+        return np.full((len(table), *shape), np.nan)
     return np.array(table[name], dtype=np.float64)
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
-from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from tms_bag import messages
 from tms_bag.channel import Channel
@@ -21,6 +23,31 @@ def fields_of(channel: Channel) -> Fields:
     """
     stored = _stored_fields(channel.type, channel.schema, channel.schema_encoding)
     return messages.all_fields(channel.type) if stored is None else stored
+
+
+def message_of(channel: Channel, data: bytes) -> Any:
+    """A message as an object, by the bag's definition of its type. RecordingError if it isn't one."""
+    return messages.deserialize(
+        data, channel.type, _store(channel.type, channel.schema, channel.schema_encoding)
+    )
+
+
+@lru_cache(maxsize=64)
+def _store(type_name: str, schema: bytes, encoding: str) -> Typestore | None:
+    """Types as a bag defines them; None if they are those that are installed."""
+    stored = _stored_fields(type_name, schema, encoding)
+    if stored is None:
+        return None
+    try:
+        known = messages.all_fields(type_name)
+        if all(known.get(name) == fields for name, fields in stored.items()):
+            return None
+    except RecordingError:  # not installed
+        pass
+    store = get_typestore(Stores.EMPTY)
+    store.register(dict(stored))
+    store.max_sequence_length = messages.LONGEST_SEQUENCE
+    return store
 
 
 @lru_cache(maxsize=256)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
 
@@ -17,12 +16,11 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # [bytes] opcode and length
-LARGEST_CHUNK = 2**27  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
+LARGEST_CHUNK = 2**26  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
 
 # What parsing a damaged record can raise, from the mcap library, struct and the decompressors.
 DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, zstandard.ZstdError)
@@ -30,7 +28,6 @@ DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, zstandard
 LARGEST_RECORD = LARGEST_CHUNK + 2**16  # [bytes] a chunk that is not compressed, and its head
 
 _HEADER = struct.Struct("<BQ")
-_WINDOW = 2**20  # [bytes] read at once when going through a file
 
 
 class Frame(NamedTuple):
@@ -41,21 +38,16 @@ class Frame(NamedTuple):
     stop: int  # [bytes] one after its last
 
 
-def frames_of_file(file: BinaryIO, start: int, size: int) -> Iterator[Frame]:
-    """Frames from byte `start` on, as long as they are complete; ends quietly where they aren't any more."""
-    position, window, window_start = start, b"", start
-    while position + HEADER_SIZE <= size:
-        if not window_start <= position <= window_start + len(window) - HEADER_SIZE:
-            file.seek(position)
-            # Behind a record that is longer than the window, the next one is likely to be so, too.
-            window = file.read(_WINDOW if position - window_start <= _WINDOW else HEADER_SIZE)
-            window_start = position
-        opcode, length = _HEADER.unpack_from(window, position - window_start)
-        content = position + HEADER_SIZE
-        if opcode == 0 or length > size - content:  # 0 is not an opcode
-            return
-        yield Frame(opcode, content, content + length)
-        position = content + length
+def frame_at(file: BinaryIO, place: int, size: int) -> Frame | None:
+    """The record that starts at a place of a file; None if no complete one does."""
+    head = os.pread(file.fileno(), HEADER_SIZE, place)
+    if len(head) < HEADER_SIZE:
+        return None
+    opcode, length = _HEADER.unpack(head)
+    start = place + HEADER_SIZE
+    if opcode == 0 or length > size - start:  # 0 is not an opcode
+        return None
+    return Frame(opcode, start, start + length)
 
 
 def content_of(file: BinaryIO, frame: Frame) -> bytes:

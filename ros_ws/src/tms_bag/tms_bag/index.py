@@ -7,6 +7,7 @@ counted.
 
 from __future__ import annotations
 
+import os
 import zlib
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -17,20 +18,20 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 
 from tms_bag import frames
-from tms_bag.block import MESSAGE_HEAD, Block, block_of
+from tms_bag.block import Block, begun_block_of, block_of
 from tms_bag.channel import Channel, stored_channel
 from tms_bag.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
 from tms_bag.metadata import custom_data_of_record
 
 _FOOTER_SIZE = HEADER_SIZE + 20  # [bytes]
-_LOOSE_RUN = 2**22  # [bytes] messages outside chunks are read in portions of this size
+_WINDOW = 2**22  # [bytes] records outside chunks are looked at in portions of this size
 
 
 @dataclass(frozen=True)
 class Span:
     """A part of the file that holds messages: a chunk, or a run of records with messages outside chunks."""
 
-    frame: Frame  # the chunk record; for loose messages the bytes of the run
+    frame: Frame  # the chunk record; for loose messages the bytes they stand in
     start_ns: int  # earliest log time
     end_ns: int  # latest log time
     loose: bool
@@ -104,23 +105,28 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
 
 def scan(file: BinaryIO, size: int) -> FileIndex:
     """Index by going through the whole file."""
-    builder = _Builder(file)
-    end, last_opcode = len(MAGIC), 0
-    for frame in frames.frames_of_file(file, len(MAGIC), size):
-        end, last_opcode = frame.stop, frame.opcode
-        try:
-            builder.add_record(frame)
-        except DAMAGE:
-            builder.index.damaged_chunks += 1
-        if frame.opcode == Opcode.FOOTER:
+    builder, end, closed = _Builder(file), len(MAGIC), False
+    while not closed:
+        frame = frames.frame_at(file, end, size)
+        if frame is None:
             break
-    try:
-        builder.end_loose_run()
-    except DAMAGE:
-        builder.index.damaged_chunks += 1
-    file.seek(end)
-    closed = last_opcode == Opcode.FOOTER and file.read(len(MAGIC) + 1) == MAGIC
+        length = frame.stop - end
+        if frame.opcode == Opcode.CHUNK or (length > _WINDOW and frame.opcode != Opcode.MESSAGE):
+            others, stop = [frame], frame.stop
+        elif length > frames.LARGEST_RECORD:
+            others, stop = [], frame.stop
+            builder.index.damaged_chunks += 1
+        else:  # most records outside chunks are small: a window of the file holds many of them
+            content = os.pread(file.fileno(), min(max(_WINDOW, length), size - end), end)
+            others, stop = builder.add_loose(content, end)
+        for other in others:
+            builder.add_or_count(other)
+            if other.opcode == Opcode.FOOTER:
+                closed, stop = True, other.stop
+                break
+        end = stop
     index = builder.index
+    closed = closed and os.pread(file.fileno(), len(MAGIC) + 1, end) == MAGIC
     index.unread_bytes = 0 if closed else size - end
     index.complete = closed and index.damaged_chunks == 0
     return index
@@ -128,10 +134,9 @@ def scan(file: BinaryIO, size: int) -> FileIndex:
 
 def _record_at(file: BinaryIO, offset: int, size: int, opcode: Opcode) -> bytes:
     """Content of the record at a place. ValueError if there is no such record."""
-    for frame in frames.frames_of_file(file, offset, size):
-        if frame.opcode == opcode:
-            return frames.content_of(file, frame)
-        break
+    frame = frames.frame_at(file, offset, size)
+    if frame is not None and frame.opcode == opcode:
+        return frames.content_of(file, frame)
     raise ValueError(f"no {opcode.name} record at byte {offset}")
 
 
@@ -143,19 +148,30 @@ class _Builder:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._chunk_count = 0
-        self._loose: tuple[int, int] | None = None  # start and stop of the current run
 
-    def add_record(self, frame: Frame) -> None:
-        """A record of the data section; one of DAMAGE if it can't be read."""
-        if frame.opcode == Opcode.MESSAGE:
-            self._add_loose_message(frame)
-            return
-        if frame.opcode == Opcode.CHUNK:
-            self._add_chunk(frame)
-        elif frame.opcode == Opcode.METADATA:
-            self.add_metadata(frames.content_of(self._file, frame))
-        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self.add_definition(frame.opcode, frames.content_of(self._file, frame))
+    def add_or_count(self, frame: Frame) -> None:
+        """A record of the data section, but for messages; counted as damaged if it can't be read."""
+        try:
+            if frame.opcode == Opcode.CHUNK:
+                self._add_chunk(frame)
+            elif frame.opcode == Opcode.METADATA:
+                self.add_metadata(frames.content_of(self._file, frame))
+            elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.add_definition(frame.opcode, frames.content_of(self._file, frame))
+            elif frame.opcode == Opcode.MESSAGE:
+                raise ValueError("message too short")
+        except DAMAGE:
+            self.index.damaged_chunks += 1
+
+    def add_loose(self, content: bytes, place: int) -> tuple[list[Frame], int]:
+        """The messages outside chunks that stand at a place in the file.
+
+        Returns the other records there, and the place where the complete records end.
+        """
+        block, others, stop = begun_block_of(content)
+        self._add_span(block, Frame(Opcode.MESSAGE, place, place + stop), loose=True)
+        moved = [Frame(opcode, place + start, place + end) for opcode, start, end in others]
+        return moved, place + stop
 
     def add_definition(self, opcode: int, content: bytes) -> None:
         """A schema or a channel; anything else is left alone."""
@@ -225,23 +241,8 @@ class _Builder:
         earliest, latest = int(block.log_time.min()), int(block.log_time.max())
         self.index.spans.append(Span(frame, earliest, latest, loose, frozenset(numbers)))
 
-    def _add_loose_message(self, frame: Frame) -> None:
-        if frame.stop - frame.start < MESSAGE_HEAD:
-            raise ValueError(f"message record of {frame.stop - frame.start} bytes")
-        start = frame.start - HEADER_SIZE
-        if self._loose and (self._loose[1] != start or frame.stop - self._loose[0] > _LOOSE_RUN):
-            self.end_loose_run()
-        self._loose = (self._loose[0] if self._loose else start, frame.stop)
-
-    def end_loose_run(self) -> None:
-        """Close the current run of messages outside chunks; one of DAMAGE if it can't be read."""
-        run, self._loose = self._loose, None
-        if run:
-            frame = Frame(Opcode.MESSAGE, *run)
-            self._add_span(block_of(frames.content_of(self._file, frame))[0], frame, loose=True)
-
 
 def block_at(file: BinaryIO, span: Span) -> Block:
     """Messages of a span. One of DAMAGE if they can't be read."""
     content = frames.content_of(file, span.frame)
-    return block_of(content if span.loose else frames.chunk_content(content))[0]
+    return begun_block_of(content)[0] if span.loose else block_of(frames.chunk_content(content))[0]

@@ -45,11 +45,14 @@ def serialize(message: Any) -> bytes:
     return data + bytes(-len(data) % 4)
 
 
-def deserialize(data: bytes, type_name: str) -> Any:
-    """Object of `message_type(type_name)` from CDR bytes. RecordingError if the bytes don't fit the type."""
+def deserialize(data: bytes, type_name: str, store: Typestore | None = None) -> Any:
+    """Object of `message_type(type_name)` from CDR bytes. RecordingError if the bytes don't fit the type.
+
+    `store` knows other versions of the types than those that are installed.
+    """
     try:
-        return _store_with(type_name).deserialize_cdr(data, type_name)
-    except (SerdeError, IndexError, AssertionError) as error:
+        return (store or _store_with(type_name)).deserialize_cdr(data, type_name)
+    except (SerdeError, IndexError, AssertionError, UnicodeDecodeError) as error:
         raise RecordingError(
             f"expected a {type_name} message, found {len(data)} bytes that aren't one ({error}):"
             " the recording is damaged or was made with another version of this type"

@@ -107,17 +107,17 @@ def to_text(information: Mapping[str, Any]) -> str:
 
 
 def read_file(path: Path) -> Metadata:
-    """What a metadata.yaml says. RecordingError if it can't be read or isn't about MCAP files."""
+    """What a metadata.yaml says. RecordingError if it can't be read, or is about files of another kind."""
     information = _load(path)
     storage = information.get("storage_identifier")
-    if storage != "mcap":
+    if storage not in ("mcap", "sqlite3"):
         raise RecordingError(
-            f"{path}: expected a bag stored as mcap, found storage {_short(storage)};"
+            f"{path}: expected a bag stored as mcap or sqlite3, found storage {_short(storage)};"
             " convert it with `ros2 bag convert` (storage_id: mcap)"
         )
     if information.get("compression_mode") not in (None, "", "none", "NONE", "None"):
         raise RecordingError(
-            f"{path}: expected an mcap bag without rosbag2's compression (chunks may be compressed), found"
+            f"{path}: expected a bag without rosbag2's compression (MCAP's chunks may be compressed), found"
             f" compression_mode {_short(information['compression_mode'])}; convert it with `ros2 bag convert`"
         )
     names = information.get("relative_file_paths")

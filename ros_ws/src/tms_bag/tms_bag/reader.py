@@ -1,4 +1,4 @@
-"""Bags read: a folder with rosbag2's MCAP files, or one .mcap file, finished or not."""
+"""Bags read: a folder with rosbag2's files, or one of its files, finished or not."""
 
 from __future__ import annotations
 
@@ -8,26 +8,29 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from tms_bag import metadata
 from tms_bag.advance import in_advance
+from tms_bag.bag_files import files_of
 from tms_bag.block import Block, within
 from tms_bag.channel import ENCODING, Channel
 from tms_bag.columns import Collector, Columns
+from tms_bag.db3_source import Db3Source
 from tms_bag.definitions import fields_of
 from tms_bag.errors import RecordingError
-from tms_bag.frames import DAMAGE, MAGIC
-from tms_bag.index import FileIndex, Span, block_at, index_file, scan
+from tms_bag.frames import DAMAGE
+from tms_bag.index import FileIndex, Span
 from tms_bag.layout import Fields
+from tms_bag.mcap_source import McapSource
 from tms_bag.record import Record
 
-
-MOST_OVERLAPPING = 1000  # parts whose times overlap; each of them is held until its last message is due
+MOST_HELD = 2**28  # [bytes] of parts whose times overlap; each is held until its last message is due
+PART = 4096  # messages that are decoded together in `parts`
 
 _Step = tuple[int, int, int, int, Record]
+_Stream = tuple[int, int, int, int, Record, Iterator[_Step], int]
 
 
 class Topic(NamedTuple):
@@ -48,21 +51,24 @@ class BagReader:
     def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
         self.path = Path(path)
         self.salvage = salvage
-        files, stored = _files_of(self.path, salvage)
-        self._files: list[BinaryIO] = []
-        self._indexes: list[FileIndex] = []
+        paths, stored = files_of(self.path, salvage)
+        self._files: list[McapSource | Db3Source] = []
         try:
-            for name in files:
-                self._open(name, alone=len(files) == 1)
+            for name in paths:
+                self._files.append(_opened(name, salvage, alone=len(paths) == 1))
         except BaseException:
             self.close()
             raise
+        self._indexes = [file.index for file in self._files]
         in_files: dict[str, str] = {}
         for index in self._indexes:
             in_files.update(index.custom_data)
         self.custom_data = stored.custom_data if stored and stored.custom_data else in_files
         listed = stored is not None or self.path.is_file()
         self.complete = listed and all(index.complete for index in self._indexes)
+        self.warnings = tuple(
+            _unfinished(file.path, file.index) for file in self._files if not file.index.complete
+        )
 
     def __enter__(self) -> BagReader:
         return self
@@ -127,21 +133,26 @@ class BagReader:
         first, last = _interval(start_ns, stop_ns)
         if topics is not None:
             self._check_topics(topics)
-        active: list[tuple[int, int, int, int, Record, Iterator[_Step]]] = []
+        active: list[_Stream] = []
+        held = 0
         for span_start, file_number, span, numbers in self._spans(topics, first, last):
             while active and active[0][0] < span_start:
-                yield _next_of(active)
-            if len(active) >= MOST_OVERLAPPING:
-                raise RecordingError(
-                    f"{self.path}: expected parts in much the order of time, found {len(active)} that overlap;"
-                    f" `tms bag repair {self.path} -o NEW` can't help: record with one clock"
-                )
-            steps = self._steps(file_number, span, numbers, first, last)
+                record, freed = _next_of(active)
+                held -= freed
+                yield record
+            block = self._block(file_number, span)
+            steps = self._steps(file_number, span, block, numbers, first, last)
             step = next(steps, None)
             if step is not None:
-                heapq.heappush(active, (*step, steps))
+                held += len(block.content)
+                heapq.heappush(active, (*step, steps, len(block.content)))
+            if held > MOST_HELD:
+                raise RecordingError(
+                    f"{self.path}: expected parts in much the order of time, found {len(active)} of them"
+                    f" overlapping ({held} bytes): read a shorter stretch, with start and stop"
+                )
         while active:
-            yield _next_of(active)
+            yield _next_of(active)[0]
 
     def columns(
         self,
@@ -155,32 +166,56 @@ class BagReader:
         out. Parts of the file that hold nothing of all that aren't read. RecordingError if there is no such
         topic, if a message isn't of its topic's type, or if messages aren't alike enough to be columns.
         """
+        collectors = self._collectors(topics, in_parts=False)
+        for _ in self._collecting(collectors, start_ns, stop_ns):
+            pass
+        return {name: collector.columns() for name, collector in collectors.items()}
+
+    def parts(self, topics: Mapping[str, Collection[str] | None]) -> Iterator[Columns]:
+        """As `columns`, some messages at a time, for who doesn't need the arrays of all of them at once.
+
+        Each part is of one topic and sorted by log time, the parts of a topic only roughly.
+        """
+        collectors = self._collectors(topics, in_parts=True)
+        for collector in self._collecting(collectors, None, None):
+            if len(collector) >= PART:
+                yield collector.columns()
+        yield from (collector.columns() for collector in collectors.values() if len(collector))
+
+    def _collectors(
+        self, topics: Mapping[str, Collection[str] | None], in_parts: bool
+    ) -> dict[str, Collector]:
         self._check_topics(topics)
-        first, last = _interval(start_ns, stop_ns)
-        collectors = {}
+        found = {}
         for name, fields in topics.items():
-            collectors[name] = Collector(name, self._type_of(name), fields, self._expected(name))
-        spans = self._spans(topics, first, last)
+            expected = min(self._expected(name), PART if in_parts else 2**63)
+            found[name] = Collector(name, self._type_of(name), fields, expected)
+        return found
+
+    def _collecting(
+        self, collectors: Mapping[str, Collector], start_ns: int | None, stop_ns: int | None
+    ) -> Iterator[Collector]:
+        """Feeds the collectors, block by block; yields each that got something."""
+        first, last = _interval(start_ns, stop_ns)
+        spans = self._spans(collectors, first, last)
         for file_number, numbers, block in in_advance(
-            (partial(self._part, file_number, span, numbers) for _, file_number, span, numbers in spans)
+            partial(self._part, file_number, span, numbers) for _, file_number, span, numbers in spans
         ):
             for number in numbers:
                 channel = self._indexes[file_number].channels[number]
                 rows = np.flatnonzero((block.channel == number) & within(block.log_time, first, last))
                 if rows.size:
                     collectors[channel.name].add(block, rows, self._fields(channel))
-        return {name: collector.columns() for name, collector in collectors.items()}
+                    yield collectors[channel.name]
 
-    def _part(
-        self, file_number: int, span: Span, numbers: Sequence[int]
-    ) -> tuple[int, Sequence[int], Block]:
+    def _part(self, file_number: int, span: Span, numbers: Sequence[int]) -> tuple[int, Sequence[int], Block]:
         return file_number, numbers, self._block(file_number, span)
 
     def _fields(self, channel: Channel) -> Fields:
         if channel.encoding != ENCODING:
             raise RecordingError(
-                f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found {channel.encoding!r} on"
-                f" {channel.name}; choose topics without it"
+                f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found"
+                f" {channel.encoding!r} on {channel.name}; choose topics without it"
             )
         return fields_of(channel)
 
@@ -194,7 +229,7 @@ class BagReader:
 
     def _expected(self, name: str) -> int:
         """Messages to make room for at once: not more than a file of this size is likely to hold."""
-        size = sum(os.fstat(file.fileno()).st_size for file in self._files)
+        size = sum(file.size for file in self._files)
         return min(sum(topic.count for topic in self.topics if topic.name == name), size // 16)
 
     def _spans(
@@ -215,7 +250,7 @@ class BagReader:
 
     def _block(self, file_number: int, span: Span) -> Block:
         try:
-            return block_at(self._files[file_number], span)
+            return self._files[file_number].block(span)
         except DAMAGE as error:
             raise RecordingError(
                 f"{self.path}: the part that starts at byte {span.frame.start} is damaged ({error});"
@@ -223,10 +258,10 @@ class BagReader:
             ) from error
 
     def _steps(
-        self, file_number: int, span: Span, numbers: Sequence[int], first: int, last: int
+        self, file_number: int, span: Span, block: Block, numbers: Sequence[int], first: int, last: int
     ) -> Iterator[_Step]:
         """Messages of a part in the order of log time, and what they are sorted by."""
-        block, channels = self._block(file_number, span), self._indexes[file_number].channels
+        channels = self._indexes[file_number].channels
         rows = block.rows_in_time_order(numbers, first, last)
         content, place = block.content, span.frame.start
         for order, (start, size, number, time, sent) in enumerate(
@@ -248,89 +283,34 @@ class BagReader:
                 f"{self.path}: no topic {', '.join(missing)}; there are: {', '.join(sorted(there)) or 'none'}"
             )
 
-    def _open(self, path: Path, alone: bool) -> None:
-        try:
-            file = path.open("rb")
-        except OSError as error:
-            raise RecordingError(f"{path}: can't be opened ({error.strerror})") from error
-        self._files.append(file)
-        size = os.fstat(file.fileno()).st_size
-        magic = file.read(len(MAGIC))
-        if magic != MAGIC and self.salvage and not alone:
-            self._indexes.append(FileIndex(unread_bytes=size))  # the other files may hold something
-            return
-        if magic != MAGIC:
-            found = "an empty file" if size == 0 else f"{size} bytes that start with {magic!r}"
-            raise RecordingError(
-                f"{path}: expected an MCAP file, found {found}; there is nothing to read in it"
-            )
-        self._indexes.append(scan(file, size) if self.salvage else index_file(file, size))
+
+def _opened(path: Path, salvage: bool, alone: bool) -> McapSource | Db3Source:
+    if path.suffix == ".db3":
+        return Db3Source(path)
+    return McapSource(path, salvage, may_be_empty=salvage and not alone)  # the others may hold something
+
+
+def _unfinished(path: Path, index: FileIndex) -> str:
+    """What is wrong with a file that wasn't closed properly, and how far it goes."""
+    until = f"messages until {index.time_range[1]} ns are here" if index.time_range else "no message is here"
+    damaged = f", {index.damaged_chunks} damaged parts are left out" if index.damaged_chunks else ""
+    return (
+        f"{path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until},"
+        f" {index.unread_bytes} bytes at its end can't be read{damaged};"
+        " `tms bag repair` makes a clean bag of it"
+    )
 
 
 def _interval(start_ns: int | None, stop_ns: int | None) -> tuple[int, int]:
     return 0 if start_ns is None else start_ns, 2**64 if stop_ns is None else stop_ns
 
 
-def _next_of(active: list[tuple[int, int, int, int, Record, Iterator[_Step]]]) -> Record:
-    """The earliest record; the next one of its part takes its place."""
-    *_, record, steps = active[0]
+def _next_of(active: list[_Stream]) -> tuple[Record, int]:
+    """The earliest record, and how many bytes are free after it; the next one of its part takes its place."""
+    *_, record, steps, size = active[0]
     following = next(steps, None)
     if following is None:
         heapq.heappop(active)
-    else:
-        heapq.heapreplace(active, (*following, steps))
-    return record
-
-
-def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:
-    """The MCAP files of a bag, and its metadata.yaml if it has one (that can be read, for `salvage`)."""
-    if path.is_file():
-        return [path], None
-    if not path.is_dir():
-        found = "something that isn't a file" if path.exists() else "nothing there"
-        raise RecordingError(
-            f"{path}: expected a bag (a folder) or an .mcap file, found {found}; check the path"
-        )
-    stored = _stored_metadata(path, salvage)
-    if stored and not salvage:
-        return [_inside(path, name) for name in stored.files], stored
-    names = sorted((entry.name for entry in path.iterdir() if entry.suffix == ".mcap"), key=_split_number)
-    if not names:
-        entries = sorted(entry.name for entry in path.iterdir())[:5]
-        raise RecordingError(
-            f"{path}: expected a bag with metadata.yaml or .mcap files, found"
-            f" {', '.join(entries) or 'an empty folder'};"
-            " give the folder that `bag record`, `sim run` or `ros2 bag record -s mcap` made"
-        )
-    return [_inside(path, name) for name in names], stored
-
-
-def _stored_metadata(path: Path, salvage: bool) -> metadata.Metadata | None:
-    if not (path / metadata.FILE_NAME).is_file():
-        return None
-    try:
-        return metadata.read_file(path / metadata.FILE_NAME)
-    except RecordingError:
-        if salvage:
-            return None
-        raise
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """A file of the bag; RecordingError if it is missing or a link leads out of the folder."""
-    path = folder / name
-    if path.resolve().parent != folder.resolve():
-        raise RecordingError(
-            f"{path}: expected a file in the folder of the bag, found a link to elsewhere: not opened"
-        )
-    if not path.is_file():
-        raise RecordingError(
-            f"{path}: metadata.yaml names this file, but it isn't there; bring it back, or `tms bag repair`"
-        )
-    return path
-
-
-def _split_number(name: str) -> tuple[str, int]:
-    """Files in the order in which a recorder split them: bag_2 before bag_10."""
-    stem, _, number = name.removesuffix(".mcap").rpartition("_")
-    return (stem, int(number)) if number.isdecimal() else (name, -1)
+        return record, size
+    heapq.heapreplace(active, (*following, steps, size))
+    return record, 0

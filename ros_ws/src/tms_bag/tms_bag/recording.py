@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tms_bag import conversion, topics
+from tms_bag.columns import Columns
+from tms_bag.definitions import message_of
 from tms_bag.errors import RecordingError
 from tms_bag.reader import BagReader
-from tms_bag.record import Record
 from tms_bag.samples import (
     ImuSamples,
     LeanYawSamples,
@@ -20,8 +22,17 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
     in_time_order,
+    joined,
 )
 
+_DECODERS: dict[str, Callable[[Columns], Any]] = {
+    topics.IMU: conversion.imu_samples,
+    topics.SPEED: conversion.speed_samples,
+    topics.SPEED_COVARIANCE: conversion.speed_covariance_samples,
+    topics.STEER_TORQUE: conversion.steer_torque_samples,
+    topics.LEAN_YAW: conversion.lean_yaw_samples,
+    topics.STATE: conversion.state_samples,
+}
 FLAGS = {
     topics.IMU: "--imu-topic",
     topics.SPEED: "--speed-topic",
@@ -43,6 +54,7 @@ class Recording:
     start_ns: int  # [ns] log time of the bag's first message
     custom_data: dict[str, str]
     duplicates: int = 0  # samples left out because the topic has an earlier one with the same time
+    warnings: tuple[str, ...] = ()  # what is wrong with the bag itself, for example that it's cut short
 
 
 def read_recording(
@@ -66,30 +78,29 @@ def read_recording(
         torque_name = find_topic(bag, topics.STEER_TORQUE, steer_torque_topic, space)
         names = {
             topic: find_topic(bag, topic, None, space)
-            for topic in (topics.LEAN_YAW, topics.STATE, topics.RUN_INFO, topics.SPEED_COVARIANCE)
+            for topic in (topics.LEAN_YAW, topics.STATE, topics.SPEED_COVARIANCE)
         }
+        info_name = find_topic(bag, topics.RUN_INFO, None, space)
         names |= {topics.IMU: imu_name, topics.SPEED: speed_name, topics.STEER_TORQUE: torque_name}
-        records = _records(bag, {name: topic for topic, name in names.items() if name})
-        imu, repeated = _samples(bag, records[topics.IMU], conversion.imu_samples)
-        speed, repeated_speed = _optional(bag, records.get(topics.SPEED), conversion.speed_samples)
-        torque, repeated_torque = _optional(
-            bag, records.get(topics.STEER_TORQUE), conversion.steer_torque_samples
-        )
-        known = records.get(topics.SPEED_COVARIANCE)
+        found = _samples_of(bag, {name: topic for topic, name in names.items() if name})
+        imu, repeated = found[topics.IMU]
+        speed, repeated_speed = found.get(topics.SPEED, (None, 0))
+        torque, repeated_torque = found.get(topics.STEER_TORQUE, (None, 0))
+        known = found.get(topics.SPEED_COVARIANCE)
         if known and (speed is None or speed_topic is None):  # the same speeds, with their variance
-            speed, repeated_speed = _optional(bag, known, conversion.speed_covariance_samples)
-        info = records.get(topics.RUN_INFO)
+            speed, repeated_speed = known
         return Recording(
             path=Path(path),
             imu=imu,
             speed=speed,
             steer_torque=torque,
-            lean_yaw=_optional(bag, records.get(topics.LEAN_YAW), conversion.lean_yaw_samples)[0],
-            state=_optional(bag, records.get(topics.STATE), conversion.state_samples)[0],
-            run_info=conversion.run_info(info[0]) if info else None,
+            lean_yaw=found.get(topics.LEAN_YAW, (None, 0))[0],
+            state=found.get(topics.STATE, (None, 0))[0],
+            run_info=_run_info(bag, info_name) if info_name else None,
             start_ns=bag.start_ns,
             custom_data=bag.custom_data,
             duplicates=repeated + repeated_speed + repeated_torque,
+            warnings=bag.warnings,
         )
 
 
@@ -128,32 +139,36 @@ def _missing(bag: BagReader, topic: str, name: str | None = None) -> str:
     return f"{bag.path}: expected {wanted}, found none; the bag holds {others}: record that topic too"
 
 
-def _records(bag: BagReader, names: dict[str, str]) -> dict[str, list[Record]]:
-    """Records by topic, in one go through the bag; `names` says which topic a name in the bag stands for."""
-    found: dict[str, list[Record]] = {topic: [] for topic in names.values()}
-    for record in bag.records(names):
-        topic = names[record.topic]
-        if record.type == topics.TYPES[topic]:
-            found[topic].append(record)
-    return found
+def _samples_of(bag: BagReader, names: dict[str, str]) -> dict[str, tuple[Any, int]]:
+    """Samples by topic and how many were left out, in one go through the bag.
+
+    `names` says which topic a name in the bag stands for.
+    """
+    parts: dict[str, list[Any]] = {topic: [] for topic in names.values()}
+    for part in bag.parts({name: conversion.FIELDS[topic] for name, topic in names.items()}):
+        topic = names[part.topic]
+        parts[topic].append(_DECODERS[topic](part))
+    return {
+        topic: _in_order(bag, name, joined(parts.pop(topic))) for name, topic in names.items() if parts[topic]
+    }
 
 
-def _samples(
-    bag: BagReader, records: list[Record], decode: Callable[[Iterable[Record]], Samples]
-) -> tuple[Samples, int]:
-    try:
-        samples = decode(records)
-    except RecordingError as error:
-        raise RecordingError(f"{bag.path}: {error}") from error
+def _in_order(bag: BagReader, name: str, samples: Samples) -> tuple[Samples, int]:
     if not samples.time_ns.any():
         raise RecordingError(
-            f"{bag.path}: expected time stamps in {records[0].topic} (header.stamp), found only 0; let the"
+            f"{bag.path}: expected time stamps in {name} (header.stamp), found only 0; let the"
             " sensor's driver stamp its messages"
         )
     return in_time_order(samples)
 
 
-def _optional(
-    bag: BagReader, records: list[Record] | None, decode: Callable[[Iterable[Record]], Samples]
-) -> tuple[Samples | None, int]:
-    return (None, 0) if records is None else _samples(bag, records, decode)
+def _run_info(bag: BagReader, name: str) -> RunInfo | None:
+    """By the first message of the topic."""
+    record = next(bag.records([name]), None)
+    if record is None:
+        return None
+    channel = next(channel for channel in bag.channels if channel.name == name)
+    try:
+        return conversion.run_info(record, message_of(channel, record.data))
+    except RecordingError as error:
+        raise RecordingError(f"{bag.path}: {name} at {record.time_ns} ns: {error}") from error

@@ -9,8 +9,9 @@ holds.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,8 +178,39 @@ def selected(samples: Samples, rows: IntArray | NDArray[np.bool_] | slice) -> Sa
     return dataclasses.replace(samples, **arrays)
 
 
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples of several stretches of one recording, one after the other; what is per run is the first's.
+
+    Memory: at most twice the samples, since `parts` aren't needed any more once their arrays are joined.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    arrays: dict[str, Any] = {
+        entry.name: _joined_arrays(parts, entry.name)
+        for entry in dataclasses.fields(first)
+        if entry.name not in _PER_RUN
+        and any(isinstance(getattr(part, entry.name), np.ndarray) for part in parts)
+    }
+    return dataclasses.replace(first, **arrays)
+
+
+def _joined_arrays(parts: Sequence[Any], name: str) -> NDArray[Any]:
+    """One array of all parts; NaN for those that have none."""
+    values = [getattr(part, name) for part in parts]
+    width = next(value for value in values if value is not None).shape[1:]
+    return np.concatenate(
+        [
+            np.full((part.time_ns.size, *width), np.nan) if value is None else value
+            for part, value in zip(parts, values, strict=True)
+        ]
+    )
+
+
 def in_time_order(samples: Samples) -> tuple[Samples, int]:
     """The samples sorted by time, of those with the same time only the first, and how many were left out."""
+    if (samples.time_ns[1:] > samples.time_ns[:-1]).all():
+        return samples, 0
     order = np.argsort(samples.time_ns, kind="stable")
     times = samples.time_ns[order]
     first = np.ones(times.size, dtype=bool)

@@ -30,6 +30,7 @@ def to_json(fit: RecordingFit) -> dict[str, Any]:
             "steer_torque": fit.settings.steer_torque,
         },
         "recording": dict(fit.recording.custom_data),
+        "warnings": list(fit.recording.warnings),
     }
 
 
@@ -73,6 +74,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 def to_table(fit: RecordingFit) -> str:
     """One line per strike and estimator."""
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
+    lines += [f"warning: {warning}" for warning in fit.recording.warnings]
     if fit.strikes:
         lines.append(
             f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}"

@@ -1,0 +1,64 @@
+"""Which files a bag consists of. Nothing outside its folder is opened, whatever metadata or links say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tms_bag import metadata
+from tms_bag.errors import RecordingError
+
+SUFFIXES = (".mcap", ".db3")
+
+
+def files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:
+    """The files of a bag, and its metadata.yaml if it has one (that can be read, for `salvage`)."""
+    if path.is_file():
+        return [path], None
+    if not path.is_dir():
+        found = "something that isn't a file" if path.exists() else "nothing there"
+        raise RecordingError(
+            f"{path}: expected a bag (a folder) or an .mcap file, found {found}; check the path"
+        )
+    stored = _stored_metadata(path, salvage)
+    if stored and not salvage:
+        return [_inside(path, name) for name in stored.files], stored
+    names = sorted((entry.name for entry in path.iterdir() if entry.suffix in SUFFIXES), key=_split_number)
+    if not names:
+        entries = sorted(entry.name for entry in path.iterdir())[:5]
+        raise RecordingError(
+            f"{path}: expected a bag with metadata.yaml or .mcap files, found"
+            f" {', '.join(entries) or 'an empty folder'};"
+            " give the folder that `bag record`, `sim run` or `ros2 bag record -s mcap` made"
+        )
+    return [_inside(path, name) for name in names], stored
+
+
+def _stored_metadata(path: Path, salvage: bool) -> metadata.Metadata | None:
+    if not (path / metadata.FILE_NAME).is_file():
+        return None
+    try:
+        return metadata.read_file(path / metadata.FILE_NAME)
+    except RecordingError:
+        if salvage:
+            return None
+        raise
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of the bag; RecordingError if it is missing or a link leads out of the folder."""
+    path = folder / name
+    if path.resolve().parent != folder.resolve():
+        raise RecordingError(
+            f"{path}: expected a file in the folder of the bag, found a link to elsewhere: not opened"
+        )
+    if not path.is_file():
+        raise RecordingError(
+            f"{path}: metadata.yaml names this file, but it isn't there; bring it back, or `tms bag repair`"
+        )
+    return path
+
+
+def _split_number(name: str) -> tuple[str, int]:
+    """Files in the order in which a recorder split them: bag_2 before bag_10."""
+    stem, _, number = name.removesuffix(".mcap").removesuffix(".db3").rpartition("_")
+    return (stem, int(number)) if number.isdecimal() else (name, -1)
