@@ -18,9 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import periodogram
 from tms_bag import BagWriter
 from tms_fit.report.element import element, markup
+from tms_fit.report.filtered import share_inside
 from tms_fit.report.rounding import decimals, fixed
+from tms_fit.report.whiteness import autocorrelation, power_density
 from tms_sim.run import SimulatedRun
 
 
@@ -265,6 +268,56 @@ def test_figures_for_papers(command: Any, bag: Path, tmp_path: Path) -> None:
     drawn = (folder / "strike_1_figure_3b.svg").read_text()
     assert "lean rate [rad/s]" in drawn
     assert "yaw rate [rad/s]" in drawn
+
+
+def test_spectrum_of_even_samples_is_the_periodogram() -> None:
+    rng = np.random.default_rng(4)
+    time = np.arange(151) / 100.0
+    values = rng.normal(size=151) + 3.0 * np.sin(2.0 * np.pi * 20.0 * time)
+    frequency, density = power_density(time, values, 0.01)
+    expected_frequency, expected = periodogram(values, fs=100.0, detrend="constant")
+    np.testing.assert_allclose(frequency, expected_frequency[1:], rtol=1e-12)
+    np.testing.assert_allclose(density, expected[1:], rtol=1e-9)
+    assert frequency[np.argmax(density)] == pytest.approx(20.0, abs=0.7)
+    # With a third of the samples lost the 20 Hz still stand out.
+    kept = rng.random(151) > 0.33
+    frequency, density = power_density(time[kept], values[kept], 0.01)
+    assert frequency[np.argmax(density)] == pytest.approx(20.0, abs=0.7)
+
+
+def test_autocorrelation_by_hand() -> None:
+    # +1, -1, +1, ...: neighbours are opposite, every second one alike. 40 values: 39 products of -1 over 40.
+    residual = np.stack([np.tile([1.0, -1.0], 20), np.full(40, np.nan)], axis=1)
+    columns = autocorrelation(np.arange(40) / 100.0, residual)
+    assert set(columns["channel"]) == {"lean_rate"}
+    np.testing.assert_allclose(columns["value"][:2], [-39 / 40, 38 / 40], rtol=1e-5)
+    assert columns["lag"][:2] == [0.01, 0.02]
+    assert columns["limit"][0] == pytest.approx(1.96 / np.sqrt(40), rel=1e-5)
+
+
+def test_nis_keeps_to_its_band_when_noise_is_right(report: Any, bag: Path) -> None:
+    # 95 % of 301 to 351 values: the share's standard deviation is 1.2 %. The filter allows for disturbances
+    # that this run does not have, so that it may lie above, not below.
+    page = report(bag)
+    columns = page.data["data"]["strike-1"]["nis"]
+    assert len(columns["nis"]) > 250
+    assert share_inside(columns) > 0.95 - 4 * 0.0125
+    np.testing.assert_allclose(columns["high"], 7.3778, rtol=1e-4)  # chi square, 2 channels, 97.5 %
+
+
+def test_a_prediction_ends_where_its_speed_is_not_known(
+    command: Any, run: SimulatedRun, tmp_path: Path
+) -> None:
+    # The speed sensor tells a fall that gets steeper; a cubic through 1.5 s of it would soon be negative.
+    seconds = (run.speed.time_ns - run.info.start_ns) / 1e9 - 1.5
+    falling = 3.6 - 0.8 * np.maximum(seconds, 0.0) ** 3 / 1.5**3
+    speed = replace(run.speed, speed=falling + 1e-3 * np.sin(50.0 * seconds))
+    bag = write(tmp_path / "falling", replace(run, speed=speed).records())
+    done = command("tms_fit", "report", bag, "--speed-model", "measured", "-o", tmp_path / "report.html")
+    assert (done.code, done.err) == (0, "")
+    shown = Page(tmp_path / "report.html").data["data"]["strike-1"]["used_speed"]
+    assert 1.4 < shown["time"][-1] < 2.5
+    assert min(shown["speed"]) > 0.85 * (3.6 - 0.8)
 
 
 REFUSED = {

@@ -16,6 +16,8 @@ from tms_fit.prediction import predict_by
 from tms_fit.window import Window, make_window
 
 BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response
+STRETCH = 0.1  # share of the speed by which its curve may go beyond what it had in the window
+SLOWEST_SHARE = 0.1  # of the first speed, down to which a bicycle that slows down is shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
         raise RecordingError(
             f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}"
         )
-    shown = _shown_window(fit, number, strike.window)
+    shown = _foreseeable(_shown_window(fit, number, strike.window), strike.window, estimate)
     predicted, slopes = predict_by(shown, estimate)
     # Student's t, as in the interval of the estimate.
     std = np.sqrt(np.einsum("nci,ij,ncj->nc", slopes, estimate.covariance, slopes))
@@ -104,6 +106,26 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
         torque_r2=used.torque_r2,
         delay=used.delay,
     )
+
+
+def _foreseeable(shown: Window, used: Window, estimate: Estimate) -> Window:
+    """The prolonged window as far as its speed is known: a polynomial means nothing far from its samples."""
+    values = estimate.complete
+    if "rolling_resistance" in values:
+        start = values.get("speed", used.start_speed)
+        speed = start - values["rolling_resistance"] * used.bicycle.gravity * shown.time
+        low, high = SLOWEST_SHARE * start, np.inf
+    else:
+        speed, inside = used.speed.at(shown.time), used.speed.at(used.time)
+        low, high = (1.0 - STRETCH) * inside.min(), (1.0 + STRETCH) * inside.max()
+    beyond = np.flatnonzero(((speed < low) | (speed > high)) & (shown.time > used.time[-1]))
+    if (used.speed.constant and "rolling_resistance" not in values) or not len(beyond):
+        return shown
+    kept = slice(0, int(beyond[0]))
+    torque = None if shown.steer_torque is None else shown.steer_torque[kept]
+    lean_rate, yaw_rate = shown.lean_rate[kept], shown.yaw_rate[kept]
+    time = shown.time[kept]
+    return replace(shown, time=time, lean_rate=lean_rate, yaw_rate=yaw_rate, steer_torque=torque)
 
 
 def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:

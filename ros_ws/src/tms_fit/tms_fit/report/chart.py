@@ -56,6 +56,7 @@ CONFIG: Spec = {
     },
     "line": {"strokeWidth": 1.8},
 }
+CURSOR = [{"calculate": "section_time", "as": "at"}]
 TIME = "time since the start of the free response [s]"
 
 
@@ -148,7 +149,7 @@ def start_line() -> Spec:
 def _cursor() -> Spec:
     return {
         "data": {"values": [{}]},
-        "transform": [{"calculate": "section_time", "as": "at"}],
+        "transform": CURSOR,
         "mark": {"type": "rule", "color": "#000000", "strokeWidth": 1},
         "encoding": {"x": {"field": "at", "type": "quantitative"}},
     }

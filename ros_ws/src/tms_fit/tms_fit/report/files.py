@@ -13,7 +13,7 @@ from tms_model.figures.saving import write_whole
 from tqdm import tqdm
 
 from tms_fit.offline import RecordingFit
-from tms_fit.report.chart import CONFIG, Chart, Columns, Spec
+from tms_fit.report.chart import CONFIG, CURSOR, Chart, Columns, Spec
 from tms_fit.report.document import report_html, sections
 from tms_fit.report.strike_section import Section
 
@@ -64,7 +64,7 @@ def rows(columns: Columns) -> list[dict[str, Any]]:
 
 def _sized(spec: Spec) -> Spec:
     """A panel of fixed width without a cursor: nobody points at paper."""
-    kept = [one for one in spec["layer"] if "transform" not in one]
+    kept = [one for one in spec["layer"] if one.get("transform") != CURSOR]
     other = {key: value for key, value in spec.items() if key not in ("params", "layer", "width")}
     return copy.deepcopy({**other, "width": WIDTH, "layer": kept})
 

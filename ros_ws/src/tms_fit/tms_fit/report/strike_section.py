@@ -14,14 +14,18 @@ from tms_fit.report import datasets
 from tms_fit.report.animation import animation
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.eigenvalues import eigenvalue_chart
+from tms_fit.report.charts.nis import nis_chart
 from tms_fit.report.charts.rates import rates_chart
 from tms_fit.report.charts.residuals import histogram_chart, residual_chart
 from tms_fit.report.charts.speed import speed_chart
+from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
 from tms_fit.report.element import Element
+from tms_fit.report.filtered import filter_steps, nis, share_inside
 from tms_fit.report.motion import Motion, predicted_motion, true_motion
 from tms_fit.report.parameters import estimator_table, parameter_table
 from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
+from tms_fit.report.whiteness import autocorrelation, spectrum
 from tms_fit.settings import CHANNELS
 
 
@@ -68,16 +72,12 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     present = tuple(
         name for name, values in zip(CHANNELS, both.used.measured.T, strict=True) if np.isfinite(values).any()
     )
-    residual = both.estimate.residual
     data = {
         "series": datasets.series(both),
         "window": datasets.window(both),
-        "residuals": datasets.residuals(both, residual),
+        "residuals": datasets.residuals(both, both.estimate.residual),
+        "nis": nis(filter_steps(fit, both), both.strike.start_ns),
     }
-    for channel, name in enumerate(CHANNELS):
-        if name in present:
-            bars, normal = datasets.histogram(residual[:, channel], both.estimate.residual_std)
-            data[f"histogram_{name}"], data[f"normal_{name}"] = bars, normal
     state = fit.recording.state
     if state is not None:
         data["truth"] = datasets.truth(state, both.strike.start_ns, float(both.time[-1]))
@@ -86,11 +86,31 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     charts = (
         rates_chart(source_of(fit), "yaw_rate" in present, state is not None),
         speed,
-        residual_chart(present),
-        histogram_chart(present),
+        *_residual_charts(both, present, data),
+        nis_chart(share_inside(data["nis"])),
         eigenvalue,
     )
     return charts, {**data, **more, **rest}
+
+
+def _residual_charts(
+    both: Comparison, present: tuple[str, ...], data: dict[str, Columns]
+) -> tuple[Chart, ...]:
+    """Charts of the residuals; puts their numbers into `data`."""
+    residual, time = both.estimate.residual, both.used.time
+    for channel, name in enumerate(CHANNELS):
+        if name in present:
+            bars, normal = datasets.histogram(residual[:, channel], both.estimate.residual_std)
+            data[f"histogram_{name}"], data[f"normal_{name}"] = bars, normal
+    data["autocorrelation"] = autocorrelation(time, residual)
+    data["spectrum"] = spectrum(time, residual)
+    fastest = max(data["spectrum"]["frequency"], default=0.0)
+    return (
+        residual_chart(present),
+        histogram_chart(present),
+        autocorrelation_chart(present),
+        spectrum_chart(present, fastest > SHIMMY),
+    )
 
 
 def _gain(both: Comparison) -> float:
