@@ -74,7 +74,13 @@ def _folder(output: Path) -> Iterator[Path]:
 
 def _record(folder: Path, scenario: str, seed: int) -> None:
     recorder = NodeProcess("tms_bag", "recorder", {"output": folder / "bag"}, folder / "log" / "recorder.log")
-    parameters = {"scenario": scenario, "seed": seed, "rate": RATE, "wait_for_subscribers": 1}
+    parameters = {
+        "scenario": scenario,
+        "seed": seed,
+        "rate": RATE,
+        "wait_for_subscribers": 1,
+        "display_rate": 0.0,  # the bag holds what can be made again byte for byte
+    }
     simulator = NodeProcess("tms_sim", "simulator", parameters, folder / "log" / "simulator.log")
     try:
         simulator.wait(PATIENCE)

@@ -18,13 +18,14 @@ def declare(
     low: float | None = None,
     high: float | None = None,
     read_only: bool = True,
+    any_type: bool = False,
 ) -> Any:
-    """Declare a parameter and return its value.
+    """Declare a parameter and return its value; with `any_type` its type is left to who reads it to check.
 
     Numbers have a range from `low` to `high`, which ROS keeps to at any time. ParameterError if the value at
     start-up has the wrong type or is out of range.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=read_only)
+    descriptor = ParameterDescriptor(description=description, read_only=read_only, dynamic_typing=any_type)
     if isinstance(default, float) and low is not None and high is not None:
         descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
     elif isinstance(default, int) and not isinstance(default, bool) and low is not None and high is not None:

@@ -1,0 +1,98 @@
+"""A run that goes on while one looks at it, and in which one may still strike the bicycle.
+
+All of a run is known beforehand. A strike on the way makes it anew with that strike among the scenario's:
+nothing that happens later changes any draw of noise before, so what has been sent agrees with the new run
+(to 1e-8 rad/s, since the steps of the motion end where a strike begins). The scenario as it stands at the
+end, which run_info tells, gives the same run once more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from tms_bag import Record, topics
+from tms_model import ParameterError
+
+from tms_sim.keys import checked
+from tms_sim.run import SimulatedRun, simulate
+from tms_sim.scenario import Scenario
+
+# [ns] of simulated time sent at once: a late look must not outrun the subscribers' history.
+LARGEST_STEP = 250_000_000
+
+
+class LiveRun:
+    """One run of a scenario, sent bit by bit."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the start."""
+        self._make()
+        self.sent = 0
+        self.now_ns = self._due_ns = self.scenario.integer("start_time_ns")
+
+    @property
+    def finished(self) -> bool:
+        """Whether all has been sent."""
+        return self.sent >= len(self.records)
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the run's start [s]."""
+        return (self.now_ns - self.scenario.integer("start_time_ns")) / 1e9
+
+    def advance(self, elapsed_ns: int) -> list[Record]:
+        """What becomes due as time goes on; only what fits into LARGEST_STEP, the rest at the next calls."""
+        self._due_ns += elapsed_ns
+        self.now_ns = min(self._due_ns, self.now_ns + LARGEST_STEP)
+        first = self.sent
+        while not self.finished and self.records[self.sent].time_ns <= self.now_ns:
+            self.sent += 1
+        return self.records[first : self.sent]
+
+    def strike(self, lean_rate: float, steer_rate: float, time_ns: int = 0) -> Record:
+        """Strike the bicycle at a time of the run, 0: now. Returns what the run is from now on (run_info).
+
+        Raises ParameterError for a time that is past or after the run's end, or a strike out of range; the
+        run then goes on as it was.
+        """
+        start_ns = self.scenario.integer("start_time_ns")
+        first = (self.now_ns + 1 - start_ns) / 1e9
+        when = (time_ns - start_ns) / 1e9 if time_ns else first
+        if when < first:
+            raise ParameterError(
+                f"time: expected after now, {first:.3f} s since the start, found {when:.3f} s"
+            )
+        before = self.scenario
+        try:
+            self.scenario = _with_strike(self.scenario, when, lean_rate, steer_rate)
+            self._make()
+        except ParameterError:
+            self.scenario = before
+            raise
+        self.sent = sum(record.time_ns <= self.now_ns for record in self.records)
+        return next(record for record in self.records if record.topic == f"/{topics.RUN_INFO}")
+
+    def _make(self) -> None:
+        rng = np.random.default_rng(self.scenario.integer("seed"))
+        self.run: SimulatedRun = simulate(self.scenario, rng)
+        self.records: list[Record] = list(self.run.records())
+
+
+def _with_strike(scenario: Scenario, when: float, lean_rate: float, steer_rate: float) -> Scenario:
+    if not when < scenario.number("duration"):
+        raise ParameterError(
+            f"time: expected before the run's end at {scenario.number('duration'):g} s, found {when:.3f} s"
+        )
+    new = {"strike.time": when, "strike.lean_rate": lean_rate, "strike.steer_rate": steer_rate}
+    count = len(scenario.numbers("strike.time"))
+    strikes = [scenario.numbers(key) for key in new]
+    rows = [values if len(values) == count else values * count for values in strikes]  # one for all
+    order = sorted([*zip(*rows, strict=True), tuple(new.values())])
+    columns = zip(*order, strict=True)
+    changed = {key: checked(key, list(column)) for key, column in zip(new, columns, strict=True)}
+    return replace(scenario, values={**scenario.values, **changed})
