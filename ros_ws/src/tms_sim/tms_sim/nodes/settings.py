@@ -62,9 +62,8 @@ def _scenario(node: Node) -> Scenario:
         rule = KEYS[key]
         default = list(value) if isinstance(value, tuple) else value
         one_or_more = rule.kind is list  # one number, or one for each strike
-        limits = (
-            (None, None) if one_or_more or not isinstance(default, int | float) else (rule.low, rule.high)
-        )
-        given = declare(node, key, default, rule.meaning, *limits, any_type=one_or_more)
+        ranged = isinstance(default, int | float) and not one_or_more
+        low, high = (rule.low, rule.high) if ranged else (None, None)
+        given = declare(node, key, default, rule.meaning, low, high, any_type=one_or_more)
         changes[key] = given if isinstance(given, str | bool | int | float) else list(given)
     return load_scenario(name, changes)
