@@ -23,6 +23,7 @@ from tms_bag import BagWriter
 from tms_fit.report.element import element, markup
 from tms_fit.report.filtered import share_inside
 from tms_fit.report.rounding import decimals, fixed
+from tms_fit.report.timeline import gaps_of
 from tms_fit.report.whiteness import autocorrelation, power_density
 from tms_sim.run import SimulatedRun
 
@@ -200,7 +201,7 @@ def test_no_strike_is_said(make_run: Any, report: Any, tmp_path: Path) -> None:
     run = make_run("tms_strike", strike__lean_rate=0.0, duration=3.0)
     page = report(write(tmp_path / "quiet", run.records()))
     assert "No strike was found" in page.text
-    assert not any(attributes.get("class") == "plot" for _, attributes in page.elements)
+    assert [a["data-section"] for _, a in page.elements if a.get("class") == "plot"] == ["recording"]
 
 
 def test_what_is_not_there_is_not_drawn(run: SimulatedRun, report: Any, tmp_path: Path) -> None:
@@ -261,13 +262,49 @@ def test_figures_for_papers(command: Any, bag: Path, tmp_path: Path) -> None:
     names = {str(name).split()[1] for name in charts if name}
     starts = {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF"}
     assert {path.name for path in folder.iterdir()} == {
-        f"strike_1_{name}{suffix}" for name in names for suffix in starts
+        f"{'recording' if name == 'timeline' else 'strike_1'}_{name}{suffix}"
+        for name in names
+        for suffix in starts
     }
     for path in folder.iterdir():
         assert path.read_bytes().startswith(starts[path.suffix])
     drawn = (folder / "strike_1_figure_3b.svg").read_text()
     assert "lean rate [rad/s]" in drawn
     assert "yaw rate [rad/s]" in drawn
+
+
+def test_what_is_missing_is_counted() -> None:
+    # 100 Hz with samples 3, 4 and 8 lost: two gaps, three samples.
+    kept = np.delete(np.arange(20), [3, 4, 8]) * 10_000_000
+    assert gaps_of(kept) == ([(20_000_000, 50_000_000), (70_000_000, 90_000_000)], 3)
+    assert gaps_of(np.arange(20) * 10_000_000) == ([], 0)
+    assert gaps_of(np.array([5])) == ([], 0)
+
+
+def test_recording_tells_losses_limits_and_the_truth(make_run: Any, report: Any, tmp_path: Path) -> None:
+    run = make_run("gym_run", strike__time=3.0, duration=6.0, run_up__duration=1.0)
+    kept = np.delete(np.arange(len(run.imu.time_ns)), [100, 101])
+    imu = replace(
+        run.imu,
+        time_ns=run.imu.time_ns[kept],
+        angular_velocity=run.imu.angular_velocity[kept],
+        specific_force=run.imu.specific_force[kept],
+    )
+    flags = run.lean_yaw.saturation.copy()
+    flags[50:53] |= 2
+    lean_yaw = replace(run.lean_yaw, saturation=flags)
+    page = report(write(tmp_path / "gym", replace(run, imu=imu, lean_yaw=lean_yaw).records()))
+    assert "2 are missing, in 1 gap." in page.text
+    assert f"{np.count_nonzero(flags)} samples are marked as at the sensor's limit" in page.text
+    spans = page.data["data"]["recording"]["spans"]
+    kinds = set(spans["kind"])
+    assert {"strike", "samples missing", "accelerometer at its limit", "truth: strike"} <= kinds
+    first, last = ((run.lean_yaw.time_ns[k] - run.info.start_ns) / 1e9 for k in (50, 52))
+    spans = {(k, f, n) for k, f, n in zip(spans["kind"], spans["first"], spans["last"], strict=True)}
+    assert any(
+        k == "accelerometer at its limit" and (f, n) == pytest.approx((first, last), abs=1e-4)
+        for k, f, n in spans
+    )
 
 
 def test_spectrum_of_even_samples_is_the_periodogram() -> None:

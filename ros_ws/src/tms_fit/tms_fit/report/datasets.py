@@ -20,6 +20,7 @@ from tms_fit.offline import RecordingFit
 from tms_fit.report.chart import Columns
 from tms_fit.settings import CHANNELS
 
+SLIDING = 1e-6  # [m/s] lateral speed of a contact from which on it is said to slip
 HIGHEST_SPEED = 10.0  # [m/s] of the eigenvalues' axis, or more when the run was faster
 CURVES = 101  # speeds of the eigenvalues' curves
 CLOSE = (0.95, 0.99, 0.999, 1.001, 1.01, 1.05)  # shares of a speed where modes meet: curves are steep there
@@ -62,6 +63,17 @@ def truth(state: StateSamples, start_ns: int, last: float) -> Columns:
         "yaw_rate": column(state.yaw_rate[rows]),
         "speed": column(state.speed[rows]),
     }
+
+
+def slips(state: StateSamples, start_ns: int, last: float) -> Columns:
+    """Stretches in which a contact of a simulated bicycle slips, around a strike."""
+    seconds = (state.time_ns - start_ns) / 1e9
+    slip = np.nan_to_num(np.abs(np.stack([state.rear_slip, state.front_slip]))).max(axis=0)
+    sliding = np.concatenate([[False], (slip > SLIDING) & (seconds >= -BEFORE) & (seconds <= last), [False]])
+    edges = np.diff(sliding.astype(int))
+    firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    return {"start": column(seconds[firsts]), "end": column(seconds[lasts] + step)}
 
 
 def speed_samples(fit: RecordingFit, start_ns: int, last: float) -> Columns | None:

@@ -18,14 +18,16 @@ from tms_fit.report.chart import CONFIG, Chart, Spec
 from tms_fit.report.element import Element, element, markup, plain
 from tms_fit.report.overview import overview
 from tms_fit.report.provenance import provenance
-from tms_fit.report.strike_section import Section, strike_section
+from tms_fit.report.section import Section
+from tms_fit.report.strike_section import strike_section
+from tms_fit.report.timeline import timeline
 
 SNIPPET = "window.vegaEmbed = vegaEmbed;"
 
 
 def sections(fit: RecordingFit) -> list[Section]:
-    """Overview and strikes, in reading order."""
-    return [overview(fit), *(strike_section(fit, index) for index in range(len(fit.strikes)))]
+    """Overview, recording and strikes, in reading order."""
+    return [overview(fit), timeline(fit), *(strike_section(fit, index) for index in range(len(fit.strikes)))]
 
 
 def report_html(fit: RecordingFit, parts: list[Section]) -> str:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from tms_fit.offline import RecordingFit
 from tms_fit.report.chart import CONFIG, CURSOR, Chart, Columns, Spec
 from tms_fit.report.document import report_html, sections
-from tms_fit.report.strike_section import Section
+from tms_fit.report.section import Section
 
 WIDTH = 504  # [points] of a figure's panels: 7 in, a page's two columns
 PIXELS_PER_INCH = 300

@@ -9,7 +9,7 @@ from tms_fit.report.charts.overview import overview_chart
 from tms_fit.report.datasets import column
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
-from tms_fit.report.strike_section import Section
+from tms_fit.report.section import Section
 from tms_fit.settings import CHANNELS
 from tms_fit.strikes import StrikeSettings
 

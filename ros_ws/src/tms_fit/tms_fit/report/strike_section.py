@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from tms_model import stability
 
@@ -19,27 +17,14 @@ from tms_fit.report.charts.rates import rates_chart
 from tms_fit.report.charts.residuals import histogram_chart, residual_chart
 from tms_fit.report.charts.speed import speed_chart
 from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
-from tms_fit.report.element import Element
 from tms_fit.report.filtered import filter_steps, nis, share_inside
 from tms_fit.report.motion import Motion, predicted_motion, true_motion
 from tms_fit.report.parameters import estimator_table, parameter_table
+from tms_fit.report.section import Section
 from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
 from tms_fit.report.whiteness import autocorrelation, spectrum
 from tms_fit.settings import CHANNELS
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page with its charts and their data."""
-
-    name: str  # of its anchor, such as strike-1
-    title: str
-    words: tuple[Element, ...]  # above the charts
-    charts: tuple[Chart, ...] = ()
-    tables: tuple[Element, ...] = ()  # below the charts
-    data: dict[str, Columns] = field(default_factory=dict)
-    motions: dict[str, Columns] = field(default_factory=dict)  # of the animation, predicted and true
 
 
 def strike_section(fit: RecordingFit, index: int) -> Section:
@@ -81,10 +66,12 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     state = fit.recording.state
     if state is not None:
         data["truth"] = datasets.truth(state, both.strike.start_ns, float(both.time[-1]))
+        data["slips"] = datasets.slips(state, both.strike.start_ns, float(both.time[-1]))
+    with_slip = bool(data.get("slips", {}).get("start"))
     speed, more = _speed(fit, both)
     eigenvalue, rest = _eigenvalues(fit, both)
     charts = (
-        rates_chart(source_of(fit), "yaw_rate" in present, state is not None),
+        rates_chart(source_of(fit), "yaw_rate" in present, state is not None, with_slip),
         speed,
         *_residual_charts(both, present, data),
         nis_chart(share_inside(data["nis"])),

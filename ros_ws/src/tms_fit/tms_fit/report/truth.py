@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from tms_bag import BagReader, Recording, topics
+from tms_bag.event import Event, events
+from tms_bag.recording import find_topic
 from tms_bag.samples import StateSamples
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
@@ -11,6 +14,15 @@ from tms_fit.comparison import Comparison
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import decimals, fixed, number
 from tms_fit.settings import BIASES, CHANNELS
+
+
+def true_events(recording: Recording) -> list[Event]:
+    """What happened in a simulated run, empty where that is not recorded."""
+    if recording.state is None:
+        return []
+    with BagReader(recording.path) as bag:
+        name = find_topic(bag, topics.EVENTS)
+        return events(bag.records([name])) if name else []
 
 
 def truth_table(state: StateSamples, both: Comparison) -> Element | None:

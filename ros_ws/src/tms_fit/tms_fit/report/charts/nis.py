@@ -14,8 +14,8 @@ def nis_chart(inside: float) -> Chart:
         name="nis",
         title="Innovations of the running filter (NIS)",
         caption=f"{fixed(100.0 * inside, 0)} % of the normalised innovations squared lie in the band that"
-        " holds 95 % when model and noise are right. Above it the filter is surprised, below it expects too much"
-        " noise. This filter, unlike the fit, lets disturbances act on the bicycle.",
+        " holds 95 % when model and noise are right. Above it the filter is surprised, below it expects too"
+        " much noise. This filter, unlike the fit, lets disturbances act on the bicycle.",
         panels=(
             panel(
                 layer(

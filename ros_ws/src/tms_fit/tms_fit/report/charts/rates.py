@@ -20,13 +20,14 @@ from tms_fit.report.chart import (
 )
 
 USED, BAND, PREDICTED, TRUE = "used for the fit", "95 % band", "predicted", "truth"
+SLIP = "a wheel slips (truth)"
 
 
-def rates_chart(source: str, with_yaw: bool, with_truth: bool) -> Chart:
+def rates_chart(source: str, with_yaw: bool, with_truth: bool, with_slip: bool) -> Chart:
     """source: 'measured' or 'simulated'."""
     panels = (
-        _panel("lean_rate", source, True, with_truth),
-        _panel("yaw_rate", source, with_yaw, with_truth),
+        _panel("lean_rate", source, True, with_truth, with_slip),
+        _panel("yaw_rate", source, with_yaw, with_truth, with_slip),
     )
     absent = "" if with_yaw else " The yaw rate was not measured here: its curve is only predicted."
     return Chart(
@@ -43,7 +44,7 @@ def rates_chart(source: str, with_yaw: bool, with_truth: bool) -> Chart:
     )
 
 
-def _panel(name: str, source: str, present: bool, with_truth: bool) -> Spec:
+def _panel(name: str, source: str, present: bool, with_truth: bool, with_slip: bool) -> Spec:
     """The upper panel has the legend, the lower one the title of the axis of time."""
     upper, title = name == "lean_rate", f"{name.replace('_', ' ')} [rad/s]"
     below = None if upper else TIME
@@ -51,6 +52,7 @@ def _panel(name: str, source: str, present: bool, with_truth: bool) -> Spec:
     colours |= {PREDICTED: (BLUE, "line"), BAND: ("#7fb8d8", "area")}
     colours |= {TRUE: (ORANGE, "dash")} if with_truth else {}
     colours[USED] = ("#f4ecaa", "area")
+    colours |= {SLIP: ("#c9a0c9", "area")} if with_slip else {}
     x = field("time", scale={"nice": False, "zero": False}, axis={"title": below})
     layers = [
         layer(
@@ -59,6 +61,19 @@ def _panel(name: str, source: str, present: bool, with_truth: bool) -> Spec:
             x=field("start", axis={"title": below}),
             x2={"field": "end"},
             color=named(USED, colours),
+        ),
+        *(
+            [
+                layer(
+                    "slips",
+                    {"type": "rect", "opacity": 0.7},
+                    x=field("start", axis={"title": below}),
+                    x2={"field": "end"},
+                    color=named(SLIP, colours),
+                )
+            ]
+            if with_slip
+            else []
         ),
         zero_line(),
         start_line(),
