@@ -18,11 +18,13 @@ from tms_model.frames import imu_to_rear_frame
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, check_names
 from tms_fit.estimators.least_squares import refine_start
+from tms_fit.given_strikes import GivenStrikes
 from tms_fit.projection import Problem, solve
 from tms_fit.running_filter import FilterStep, RunningFilter
 from tms_fit.settings import INITIAL, FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
-from tms_fit.strikes import NANOSECONDS, Strike, StrikeDetector
+from tms_fit.strike import NANOSECONDS, Rejected, Strike
+from tms_fit.strikes import StrikeDetector
 from tms_fit.window import Window, make_window
 
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
@@ -94,17 +96,19 @@ class OnlineFit:
         imu_orientation: Array,
         nominal_speed: float = float("nan"),
         running_filter: bool = True,
+        strike_times: tuple[int, ...] = (),
     ) -> None:
         """Nothing is known yet.
 
         imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103).
-        nominal_speed [m/s]: used without a speed topic.
+        nominal_speed [m/s]: used without a speed topic. strike_times [ns]: starts of the free responses
+        that somebody states; without any they are looked for.
         """
         check_names(settings.estimators)
         self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
         self._filter = RunningFilter(bicycle, settings.gyroscope_noise) if running_filter else None
-        self._detector = StrikeDetector()
+        self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
         self._waiting: deque[tuple[int, Array, Array]] = deque()
         self._speed, self._torque = _Series(), _Series()
         self._first_ns: int | None = None
@@ -139,6 +143,11 @@ class OnlineFit:
         while self._strikes:
             self._fit()
 
+    @property
+    def rejected(self) -> list[Rejected]:
+        """The latest changes that were looked at and not taken for strikes."""
+        return list(self._detector.rejected)
+
     def results(self) -> list[StrikeFit | FilterStep]:
         """What has become known since the last call, in order."""
         results, self._results = self._results, []
@@ -169,8 +178,8 @@ class OnlineFit:
     def _use(self, sample: _Sample) -> None:
         self._used.append(sample)
         strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
-        if strike is not None and self._is_free_response(strike):
-            self._detector.withdraw()
+        if strike is not None and strike.kind != "given" and self._is_free_response(strike):
+            self._detector.withdraw("the bicycle's own motion, as the model continues what came before")
             strike = None
         if strike is not None:
             self._strikes.append(strike)
@@ -256,6 +265,9 @@ class OnlineFit:
             return
         if strike.sharp:
             window = refine_start(window, self._settings, (strike.time_ns - strike.before_ns) / 1e9)
+        elif strike.end_ns < strike.time_ns:
+            delay = (strike.time_ns - strike.end_ns) / NANOSECONDS
+            window = replace(window, delay=delay, delay_std=strike.end_std)
         estimates = tuple(ESTIMATORS[name](window, self._settings) for name in self._settings.estimators)
         self._results.append(StrikeFit(strike, samples[-1].time_ns, window, estimates))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from tms_bag import event
 from tms_bag.samples import StateSamples
 from tms_model.imu import RearFrameMotion
 
-from tms_sim.motion import Event, Motion
+from tms_sim.motion import Motion, Trajectory
 
 
 def true_state(motion: Motion, start_ns: int, time_ns: NDArray[np.int64]) -> StateSamples:
@@ -35,11 +34,11 @@ def true_state(motion: Motion, start_ns: int, time_ns: NDArray[np.int64]) -> Sta
     )
 
 
-def true_events(events: Iterable[Event], start_ns: int) -> tuple[event.Event, ...]:
+def true_events(trajectory: Trajectory, start_ns: int) -> tuple[event.Event, ...]:
     """What happened in a run, in the order of its times."""
     return tuple(
         event.Event(start_ns + round(one.time * 1e9), one.kind, one.text, one.duration, one.figures)
-        for one in sorted(events, key=lambda one: one.time)
+        for one in trajectory.events
     )
 
 
