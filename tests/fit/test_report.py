@@ -201,7 +201,7 @@ def test_no_strike_is_said(make_run: Any, report: Any, tmp_path: Path) -> None:
     run = make_run("tms_strike", strike__lean_rate=0.0, duration=3.0)
     page = report(write(tmp_path / "quiet", run.records()))
     assert "No strike was found" in page.text
-    assert [a["data-section"] for _, a in page.elements if a.get("class") == "plot"] == ["recording"]
+    assert {a["data-section"] for _, a in page.elements if a.get("class") == "plot"} == {"recording"}
 
 
 def test_what_is_not_there_is_not_drawn(run: SimulatedRun, report: Any, tmp_path: Path) -> None:

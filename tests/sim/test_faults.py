@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from tms_bag.event import events
 from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, LeanYawSamples, SpeedSamples
 from tms_model import ParameterError
-from tms_sim.__main__ import main
 from tms_sim.fault_injection import inject, parse_request, parse_requests
 from tms_sim.faults import FAULTS
 
+Command = Callable[..., Any]
 START = 10**9
 COUNT = 400
 TIMES = START + np.arange(COUNT) * 10**7  # 100 Hz, 4 s
@@ -73,15 +74,14 @@ def test_same_seed_same_bytes(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault_on_a_bag_is_told_in_its_truth(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fault_on_a_bag_is_told_in_its_truth(name: str, tmp_path: Path, command: Command) -> None:
     source, target = tmp_path / "source", tmp_path / "target"
     with BagWriter(source, custom_data={"seed": "5"}) as bag:
         for record in recording():
             bag.write(record)
-    main(["fault", str(source), "--fault", f"{name}:time=1.5,duration=0.7", "-o", str(target), "--json"])
-    (shown,) = json.loads(capsys.readouterr().out)["events"]
+    asked = f"{name}:time=1.5,duration=0.7"
+    answer = command("tms_sim", "fault", source, "--fault", asked, "-o", target, "--json")
+    (shown,) = json.loads(answer.out)["events"]
     with BagReader(target) as bag:
         (told,) = events(bag.records([f"/{topics.EVENTS}"]))
         assert bag.custom_data["seed"] == "5"
@@ -242,13 +242,13 @@ def test_faults_that_fit_no_message_are_refused(asked: str, says: str) -> None:
 @pytest.mark.parametrize(
     "arguments", [["fault"], ["fault", "BAG", "-o", "x"], ["fault", "BAG", "--fault", "loss", "-o", "BAG"]]
 )
-def test_command_line_says_what_it_wants(arguments: list[Any], tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="expected"):
-        main([argument.replace("BAG", str(tmp_path / "bag")) for argument in arguments])
+def test_command_line_says_what_it_wants(
+    arguments: list[str], tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    assert "expected" in refused("tms_sim", *(a.replace("BAG", str(tmp_path / "bag")) for a in arguments))
 
 
-def test_faults_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["fault", "--list", "--json"])
-    assert {entry["name"] for entry in json.loads(capsys.readouterr().out)["faults"]} == set(FAULTS)
-    main(["fault", "--list"])
-    assert len(capsys.readouterr().out.splitlines()) == len(FAULTS)
+def test_faults_are_listed(command: Command) -> None:
+    listed = json.loads(command("tms_sim", "fault", "--list", "--json").out)["faults"]
+    assert {entry["name"] for entry in listed} == set(FAULTS)
+    assert len(command("tms_sim", "fault", "--list").out.splitlines()) == len(FAULTS)

@@ -161,8 +161,8 @@ def test_noise_is_density_times_root_of_rate(grade: str, rate: float) -> None:
     changes = {"imu__rate": rate, "duration": 60.0, "strike__time": 59.9}
     truth, noisy = run(imu__grade="ideal", **changes).imu, run(imu__grade=grade, **changes).imu
     expected = {
-        "angular_velocity": sensor.gyroscope_noise_density * np.sqrt(rate),
-        "specific_force": sensor.accelerometer_noise_density * np.sqrt(rate),
+        "angular_velocity": sensor.gyroscope.noise_density * np.sqrt(rate),
+        "specific_force": sensor.accelerometer.noise_density * np.sqrt(rate),
     }
     for name, std in expected.items():
         error = getattr(noisy, name) - getattr(truth, name)
@@ -199,7 +199,7 @@ def test_accelerometer_stops_at_two_g_and_says_so(orientation: tuple[float, ...]
         "imu__orientation_deg": list(orientation),
     }
     truth, cut = run(imu__grade="ideal", **changes), run(imu__grade="pi_node", **changes)
-    limit = load_imu("pi_node").accelerometer_limit
+    limit = load_imu("pi_node").accelerometer.limit
     assert limit == 2.0 * G
     beyond = saturated(cut.imu, limit)
     assert 3 < beyond[:, axis].sum() < len(beyond) / 2
@@ -207,7 +207,7 @@ def test_accelerometer_stops_at_two_g_and_says_so(orientation: tuple[float, ...]
     np.testing.assert_array_equal(cut.lean_yaw.saturation, beyond @ [1, 2, 4])
     # Where the truth is beyond the limit by more than noise can be, the reading is at the limit, of the
     # truth's sign; where it is clearly inside, it is the truth and noise.
-    std = load_imu("pi_node").accelerometer_std(100.0)
+    std = load_imu("pi_node").only(["noise_density"]).accelerometer.noise_std(100.0)
     far = np.abs(truth.imu.specific_force) > limit + 6.0 * std
     np.testing.assert_array_equal(cut.imu.specific_force[far], limit * np.sign(truth.imu.specific_force[far]))
     inside = np.abs(truth.imu.specific_force) < limit - 6.0 * std
@@ -220,7 +220,7 @@ def test_violent_yaw_turns_gyroscope_flags_on(monkeypatch: pytest.MonkeyPatch) -
     # (z, flag 32).
     ideal = load_imu("ideal")
     limited = replace(ideal, gyroscope=replace(ideal.gyroscope, limit=0.3))
-    monkeypatch.setattr("tms_sim.run.load_imu", lambda name: limited)
+    monkeypatch.setattr("tms_sim.sensors.imu_stream.load_imu", lambda name: limited)
     result = run()
     truth = result.state
     lean_beyond, yaw_beyond = np.abs(truth.state[:, 2]) >= 0.3, np.abs(truth.yaw_rate) >= 0.3 * 1.01

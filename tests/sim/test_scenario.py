@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from tms_model import ParameterError
-from tms_sim.imu_grade import imu_names, load_imu, measure
+from tms_sim.imu_grade import imu_names, load_imu
 from tms_sim.keys import KEYS
 from tms_sim.run import simulate
 from tms_sim.scenario import FOLDER, description, load_scenario, parse_change, scenario_names
@@ -150,9 +150,9 @@ def test_changes_that_are_none(text: str) -> None:
 
 @pytest.mark.parametrize("name", imu_names())
 def test_every_sensor_loads(name: str) -> None:
-    sensor = load_imu(name)
-    assert sensor.gyroscope_std(400.0) == pytest.approx(2.0 * sensor.gyroscope_std(100.0))
-    assert sensor.accelerometer_std(1.0) == sensor.accelerometer_noise_density
+    sensor = load_imu(name).only(["noise_density"])
+    assert sensor.gyroscope.noise_std(400.0) == pytest.approx(2.0 * sensor.gyroscope.noise_std(100.0))
+    assert sensor.accelerometer.noise_std(1.0) == sensor.accelerometer.noise_density
 
 
 @pytest.mark.parametrize(
@@ -166,12 +166,3 @@ def test_wrong_sensors_are_refused(
     monkeypatch.setattr("tms_sim.imu_grade.FOLDER", tmp_path)
     with pytest.raises(ParameterError, match=next(iter(wrong))):
         load_imu("mine")
-
-
-def test_measure_by_hand() -> None:
-    truth = np.array([[0.5, -2.0, 3.0], [1.0, -1.0, 0.0]])
-    readings, cut = measure(truth, 0.0, 1.0, np.random.default_rng(1))
-    np.testing.assert_array_equal(readings, [[0.5, -1.0, 1.0], [1.0, -1.0, 0.0]])
-    np.testing.assert_array_equal(
-        cut, [[False, True, True], [True, True, False]]
-    )  # at the limit counts as cut

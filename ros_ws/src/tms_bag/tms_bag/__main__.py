@@ -13,6 +13,7 @@ from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 from tqdm import tqdm
 
+from tms_bag.check_command import add_check, check
 from tms_bag.csv_import import import_csv
 from tms_bag.errors import RecordingError
 from tms_bag.mapping import adapted, load_mapping, mapping_names
@@ -29,7 +30,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _parser() -> Parser:
     parser = Parser(
-        prog="tms bag", description="Recordings: rosbag2 bags (MCAP) looked at, imported, repaired."
+        prog="tms bag",
+        description="Recordings: rosbag2 bags looked at, checked, imported, exported, repaired,"
+        " recorded, played.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
     info = commands.add_parser("info", help="what a bag holds", description="What a bag or .mcap file holds.")
@@ -45,6 +48,7 @@ def _parser() -> Parser:
     mend.add_argument(
         "-o", "--output", help="bag to write (default: in the place of BAG, kept as BAG.unrepaired)"
     )
+    add_check(commands)
     add_record(commands)
     add_play(commands)
     return parser
@@ -135,7 +139,14 @@ def _repair(arguments: argparse.Namespace) -> None:
     print(f"{done.output}: {done.message_count} messages recovered{lost}{kept}")
 
 
-COMMANDS = {"info": _info, "import-csv": _import_csv, "repair": _repair, "record": record, "play": play}
+COMMANDS = {
+    "info": _info,
+    "check": check,
+    "import-csv": _import_csv,
+    "repair": _repair,
+    "record": record,
+    "play": play,
+}
 
 if __name__ == "__main__":
     sys.exit(run(main, (RecordingError, ParameterError)))

@@ -71,6 +71,11 @@ def read_csv(log: str | os.PathLike[str], mapping: LogMapping) -> Log:
     return Log(path, hashlib.sha256(content).hexdigest(), times[kept], columns, int(kept.size - kept.sum()))
 
 
+def text_of(path: Path) -> str:
+    """A CSV file's text. RecordingError if there is none, or if it's something else."""
+    return _text(path, _content(path))
+
+
 def _content(path: Path) -> bytes:
     try:
         if not path.is_file():
@@ -136,7 +141,7 @@ def _numbers(path: Path, lines: _Lines, position: int, column: str) -> FloatArra
         cell = cells[position].strip() if position < len(cells) else ""
         if not cell:
             continue
-        values[row] = _number(cell)
+        values[row] = number_in(cell)
         if math.isinf(values[row]):
             raise RecordingError(
                 f"{path}: line {line}, column {column!r}: expected a finite number, found {cell[:40]!r};"
@@ -145,7 +150,7 @@ def _numbers(path: Path, lines: _Lines, position: int, column: str) -> FloatArra
     return values
 
 
-def _number(cell: str) -> float:
+def number_in(cell: str) -> float:
     """A number or NaN; infinite for everything that isn't one."""
     try:
         return math.inf if "_" in cell else float(cell)

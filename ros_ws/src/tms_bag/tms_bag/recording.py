@@ -96,7 +96,7 @@ def read_recording(
             steer_torque=torque,
             lean_yaw=found.get(topics.LEAN_YAW, (None, 0))[0],
             state=found.get(topics.STATE, (None, 0))[0],
-            run_info=_run_info(bag, info_name) if info_name else None,
+            run_info=run_info_of(bag, info_name) if info_name else None,
             start_ns=bag.start_ns,
             custom_data=bag.custom_data,
             duplicates=repeated + repeated_speed + repeated_torque,
@@ -162,8 +162,8 @@ def _in_order(bag: BagReader, name: str, samples: Samples) -> tuple[Samples, int
     return in_time_order(samples)
 
 
-def _run_info(bag: BagReader, name: str) -> RunInfo | None:
-    """By the first message of the topic."""
+def run_info_of(bag: BagReader, name: str) -> RunInfo | None:
+    """What the run was, by the first message of the topic; None without one. RecordingError if it's none."""
     record = next(bag.records([name]), None)
     if record is None:
         return None

@@ -13,6 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tms_fit.comparison import AFTER, BEFORE, Comparison, comparison, source_of
 from tms_fit.offline import RecordingFit
+from tms_fit.report.rounding import decimals, fixed
 
 # Room for the legend; loc="outside ..." would need a newer matplotlib than Ubuntu 24.04's.
 LEGEND_BELOW = (0.0, 0.06, 1.0, 0.94)
@@ -58,8 +59,10 @@ def _title(fit: RecordingFit, both: Comparison, number: int) -> str:
     text += f" at {both.used.start_speed:.2f} m/s"
     if name in estimate.names:
         index = estimate.names.index(name)
-        half = estimate.quantile * float(estimate.std[index])
-        text += f"\ninitial lean rate {estimate.values[index]:.4f} ± {half:.4f} rad/s"
+        std = float(estimate.std[index])
+        places = decimals(std)
+        value, half = fixed(float(estimate.values[index]), places), fixed(estimate.quantile * std, places)
+        text += f"\ninitial lean rate {value} ± {half} rad/s"
         text += f" (95 %, {estimate.estimator.replace('_', ' ')})"
     return text
 

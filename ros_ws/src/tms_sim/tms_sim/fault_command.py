@@ -6,16 +6,15 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from tms_bag import BagReader, BagWriter, Record, topics
-from tms_bag.event import Event as Told
-from tms_bag.event import event_records
+from tms_bag import BagReader, BagWriter, topics
+from tms_bag.event import Event, event_records
 from tms_bag.record import merged
 from tms_model import ParameterError
 from tms_model.command_line import print_json
 
 from tms_sim.fault_injection import Request, inject, parse_request
 from tms_sim.faults import FAULTS
-from tms_sim.motion import Event
+from tms_sim.truth import true_events
 
 
 def fault_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,29 +66,20 @@ def fault(arguments: argparse.Namespace) -> None:
 
 def spoil_bag(
     source: str, requests: list[Request], target: str, seed: int, asked: str, overwrite: bool = False
-) -> list[Told]:
+) -> list[Event]:
     """Write the bag `target`: messages of `source` with faults, and their events. Raises RecordingError."""
     with BagReader(source) as bag:
         channels, custom_data, start_ns = bag.channels, bag.custom_data, bag.start_ns
         records, found = inject(bag.records(), requests, start_ns, np.random.default_rng(seed))
-    told = [told_event(event, start_ns) for event in found]
+    told = list(true_events(found, start_ns))
     made = {"faults": asked, "faults_seed": str(seed)}  # after those that the recording has already
     made = {key: "; ".join(filter(None, (custom_data.get(key), value))) for key, value in made.items()}
     with BagWriter(target, custom_data={**custom_data, **made}, overwrite=overwrite) as written:
         for channel in channels:
             written.add_channel(channel)
-        for record in merged(sorted(event_records(told), key=_time), records):
+        for record in merged(event_records(told), records):
             written.write(record, topics.QOS[topics.EVENTS])
     return told
-
-
-def told_event(event: Event, start_ns: int) -> Told:
-    """An event with its time as ROS has it."""
-    return Told(start_ns + round(1e9 * event.time), event.kind, event.text, event.duration, event.figures)
-
-
-def _time(record: Record) -> int:
-    return record.time_ns
 
 
 def _list(as_json: bool) -> None:

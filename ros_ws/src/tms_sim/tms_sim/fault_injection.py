@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from tms_bag import Record, RecordingError
+from tms_bag.event import event_records
+from tms_bag.record import merged
 from tms_model import ParameterError
 
 from tms_sim.faults import FAULTS, Fault
 from tms_sim.motion import Event
 from tms_sim.stream import Stream, read_stream, write_stream
+from tms_sim.truth import true_events
 
 NONE = "none"
 
@@ -93,6 +96,14 @@ def inject(
         last = max((record.time_ns for _, record in numbered), default=start_ns)
         events.append(_event(request, chosen, (last - start_ns) / 1e9))
     return [record for _, record in numbered], events
+
+
+def with_faults(
+    records: Iterable[Record], requests: Sequence[Request], start_ns: int, rng: np.random.Generator
+) -> Iterator[Record]:
+    """The records with the faults in them, and with the events that tell them."""
+    spoilt, events = inject(records, requests, start_ns, rng)
+    return merged(event_records(true_events(events, start_ns)), spoilt)
 
 
 def _topics(request: Request, present: list[str]) -> list[str]:

@@ -79,18 +79,18 @@ def limited(stream: Stream, hit: Mask, settings: Settings, rng: np.random.Genera
 
 def spikes(stream: Stream, hit: Mask, settings: Settings, rng: np.random.Generator) -> Stream:
     """Single readings are far off, to either side."""
-    where = rng.random(len(hit)) < number(settings, "share")
-    sizes = where * np.where(rng.random(len(hit)) < 0.5, -1.0, 1.0) * number(settings, "size")
+    drawn = rng.random((len(hit), 2))
+    where = drawn[:, 0] < number(settings, "share")
+    sizes = where * np.where(drawn[:, 1] < 0.5, -1.0, 1.0) * number(settings, "size")
     return _changed(stream, hit, settings, lambda values: values + sizes)
 
 
 def noise(stream: Stream, hit: Mask, settings: Settings, rng: np.random.Generator) -> Stream:
     """White noise comes on top."""
+    own = iter(rng.spawn(3))  # one for each axis
+    std = number(settings, "std")
     return _changed(
-        stream,
-        hit,
-        settings,
-        lambda values: values + number(settings, "std") * rng.standard_normal(len(values)),
+        stream, hit, settings, lambda values: values + std * next(own).standard_normal(len(values))
     )
 
 

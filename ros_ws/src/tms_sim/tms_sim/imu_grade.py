@@ -13,10 +13,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from tms_model import ParameterError
-from tms_model.bicycle import Array
 from tms_model.catalogue import check_keys, number, read_yaml
 
 from tms_sim.sensors.errors import SensorErrors
@@ -50,42 +47,6 @@ class ImuGrade:
             _only(self.magnetometer, kept),
             self.update_rate,
         )
-
-    @property
-    def gyroscope_noise_density(self) -> float:
-        """[rad/s/sqrt(Hz)]."""
-        return self.gyroscope.noise_density
-
-    @property
-    def gyroscope_limit(self) -> float:
-        """[rad/s] per axis, infinite: none."""
-        return self.gyroscope.limit
-
-    @property
-    def accelerometer_noise_density(self) -> float:
-        """[m/s^2/sqrt(Hz)]."""
-        return self.accelerometer.noise_density
-
-    @property
-    def accelerometer_limit(self) -> float:
-        """[m/s^2] per axis, infinite: none."""
-        return self.accelerometer.limit
-
-    def gyroscope_std(self, rate: float) -> float:
-        """Standard deviation of one sample [rad/s] at a sample rate [Hz]."""
-        return self.gyroscope.noise_density * math.sqrt(rate)
-
-    def accelerometer_std(self, rate: float) -> float:
-        """Standard deviation of one sample [m/s^2] at a sample rate [Hz]."""
-        return self.accelerometer.noise_density * math.sqrt(rate)
-
-
-def measure(
-    truth: Array, std: float, limit: float, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Readings (n, 3): truth (n, 3) plus white noise, cut off at +-limit; and which were cut off (n, 3)."""
-    noisy = truth + std * rng.standard_normal(truth.shape)
-    return np.clip(noisy, -limit, limit), np.abs(noisy) >= limit
 
 
 def _only(errors: SensorErrors, kept: Collection[str]) -> SensorErrors:

@@ -104,8 +104,74 @@ KEYS: dict[str, Key] = {
     "imu.orientation_deg": Key(
         tuple, "roll, pitch, yaw of imu_link in rear_frame, REP-103 [deg]", -360.0, 360.0
     ),
+    "imu.errors": Key(
+        str,
+        "errors of its grade that act, with commas between: noise_density, random_walk, bias, scale,"
+        " misalignment, resolution, limit; or all, none",
+        default="noise_density, limit",
+    ),
+    "imu.misalignment_deg": Key(
+        tuple,
+        "roll, pitch, yaw by which imu_link really sits turned from there, told to nobody [deg]",
+        -180.0,
+        180.0,
+        (0.0, 0.0, 0.0),
+    ),
+    "fusion.on": Key(
+        bool,
+        "the sensor finds its own orientation: imu/data, imu/mag, and imu/lean_yaw goes by it; without it"
+        " imu/lean_yaw goes by the true lean",
+        default=False,
+    ),
+    "fusion.gain": Key(float, "how fast accelerometers and magnetometers pull [1/s]", 0.0, 10.0, 0.5),
+    "fusion.acceleration_rejection_deg": Key(
+        float, "accelerometers farther off are not believed; 0: always believed [deg]", 0.0, 90.0, 0.0
+    ),
+    "fusion.magnetic_rejection_deg": Key(
+        float, "magnetometers farther off are not believed; 0: always believed [deg]", 0.0, 90.0, 0.0
+    ),
+    "fusion.rejection_timeout": Key(float, "after which they are believed again [s]", 0.0, 3600.0, 5.0),
+    "magnetic_field.flux_density": Key(float, "of the Earth's field [T]", 0.0, 1e-3, 49e-6),
+    "magnetic_field.inclination_deg": Key(float, "of it below the horizontal [deg]", -90.0, 90.0, 67.0),
+    "magnetic_field.heading_deg": Key(
+        float, "heading at the start, clockwise from magnetic north [deg]", -360.0, 360.0, 90.0
+    ),
+    "floor_vibration.rms": Key(
+        float, "vertical acceleration of the frame at 3.6 m/s, from 20 to 300 Hz [m/s^2]", 0.0, 100.0, 0.0
+    ),
+    "padding.natural_frequency": Key(
+        float, "of the sensor on its padding; 0: no padding [Hz]", 0.0, 300.0, 0.0
+    ),
+    "padding.damping_ratio": Key(float, "of the padding [1]", 0.01, 10.0, 0.2),
+    "wireless.range": Key(float, "beyond it from the start nothing arrives; 0: no limit [m]", 0.0, 1e6, 0.0),
+    "wireless.loss": Key(float, "probability that a packet is lost, each by itself [1]", 0.0, 1.0, 0.0),
+    "wireless.burst_start": Key(
+        float, "probability that the link turns bad with a packet [1]", 0.0, 1.0, 0.0
+    ),
+    "wireless.burst_end": Key(float, "probability that it turns good again [1]", 1e-6, 1.0, 0.2),
+    "wireless.burst_loss": Key(float, "probability of a loss while it is bad [1]", 0.0, 1.0, 1.0),
+    "wireless.latency": Key(float, "shortest time that a packet takes [s]", 0.0, 60.0, 0.0),
+    "wireless.jitter": Key(float, "mean of what comes on top, exponential [s]", 0.0, 60.0, 0.0),
+    "wireless.duplicates": Key(float, "probability that a packet arrives twice [1]", 0.0, 1.0, 0.0),
+    "wireless.clock_offset": Key(float, "sensor's clock ahead of the host's [s]", -3600.0, 3600.0, 0.0),
+    "wireless.clock_drift": Key(
+        float, "how much faster the sensor's clock runs than the host's [s/s]", -0.01, 0.01, 0.0
+    ),
     "speed_sensor.rate": Key(float, "samples a second [Hz]", 0.1, 1000.0),
     "speed_sensor.noise": Key(float, "standard deviation of one sample [m/s]", 0.0, 10.0),
+    "speed_sensor.kind": Key(str, "noise, camera or encoder", default="noise"),
+    "speed_sensor.wheel_diameter": Key(float, "of the wheel that is watched [m]", 0.01, 3.0, 0.1),
+    "speed_sensor.camera_start": Key(
+        float, "time from which the camera's turns are counted [s since the start]", 0.0, 3600.0, 0.0
+    ),
+    "speed_sensor.frame_rate": Key(float, "of the camera [Hz]", 1.0, 1e5, 300.0),
+    "speed_sensor.turns": Key(int, "of the wheel that are counted", 1, 1000, 3),
+    "speed_sensor.ticks": Key(int, "of the encoder a turn", 1, 10**6, 256),
+    "faults": Key(
+        str,
+        "faults put into the messages, NAME:key=value,... with ';' between (see `sim fault --list`), or none",
+        default="none",
+    ),
     "state_rate": Key(float, "samples of the truth a second [Hz]", 1.0, 4000.0),
     "seed": Key(int, "seed of all noise", 0, 2**63 - 1),
     # ROS counts the seconds of a stamp in 31 bits, and the longest run takes 3600 of them.

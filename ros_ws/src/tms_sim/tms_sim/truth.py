@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from tms_bag import event
 from tms_bag.samples import StateSamples
 from tms_model.imu import RearFrameMotion
 
-from tms_sim.motion import Motion, Trajectory
+from tms_sim.motion import Event, Motion
 
 
 def true_state(motion: Motion, start_ns: int, time_ns: NDArray[np.int64]) -> StateSamples:
@@ -34,11 +35,11 @@ def true_state(motion: Motion, start_ns: int, time_ns: NDArray[np.int64]) -> Sta
     )
 
 
-def true_events(trajectory: Trajectory, start_ns: int) -> tuple[event.Event, ...]:
+def true_events(events: Iterable[Event], start_ns: int) -> tuple[event.Event, ...]:
     """What happened in a run, in the order of its times."""
     return tuple(
         event.Event(start_ns + round(one.time * 1e9), one.kind, one.text, one.duration, one.figures)
-        for one in trajectory.events
+        for one in sorted(events, key=lambda one: one.time)
     )
 
 

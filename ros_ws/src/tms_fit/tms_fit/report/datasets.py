@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from tms_bag.samples import StateSamples
-from tms_model import Bicycle, Stability, double_roots, follow_modes
+from tms_model import Bicycle, Stability, follow_modes
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import BEFORE, Comparison
@@ -22,8 +22,7 @@ from tms_fit.settings import CHANNELS
 
 SLIDING = 1e-6  # [m/s] lateral speed of a contact from which on it is said to slip
 HIGHEST_SPEED = 10.0  # [m/s] of the eigenvalues' axis, or more when the run was faster
-CURVES = 101  # speeds of the eigenvalues' curves
-CLOSE = (0.95, 0.99, 0.999, 1.001, 1.01, 1.05)  # shares of a speed where modes meet: curves are steep there
+CURVES = 121  # speeds of the eigenvalues' curves
 NORMAL = 61  # points of the normal curve
 
 
@@ -115,9 +114,8 @@ def with_feedback(bicycle: Bicycle, gain: float) -> Bicycle:
 def eigenvalues(bicycle: Bicycle, fastest: float) -> tuple[Columns, tuple[str, ...]]:
     """Eigenvalues by mode from standstill on, and the modes' names."""
     highest = max(HIGHEST_SPEED, 1.2 * fastest)
-    close = [meeting.speed * part for meeting in double_roots(bicycle) for part in CLOSE]
-    speeds = np.unique(np.concatenate([np.linspace(0.0, highest, CURVES), close]))
-    course = follow_modes(bicycle, speeds[speeds <= highest])
+    # Closer at low speeds, where modes meet and curves are steep.
+    course = follow_modes(bicycle, highest * np.linspace(0.0, 1.0, CURVES) ** 2)
     rows = [
         (curve, speed, name, value)
         for speed, values, names in zip(course.speeds, course.eigenvalues, course.names, strict=True)

@@ -14,6 +14,7 @@ RATE = "rad/s"
 def parameter_table(estimate: Estimate) -> Element:
     """Parameters of one estimate, and how they hang together."""
     std = estimate.std
+    done = estimate.message[:1].upper() + estimate.message[1:]
     correlation = estimate.correlation
     head = ["parameter", "value", "standard error", "95 % interval", "unit"]
     head += [f"corr. with {_words(name)}" for name in estimate.names] if len(estimate.names) > 1 else []
@@ -34,7 +35,7 @@ def parameter_table(estimate: Estimate) -> Element:
     return element(
         "section",
         element("h3", f"Parameters ({_words(estimate.estimator)})"),
-        element("p", f"{estimate.message}. Residual standard deviation {estimate.residual_std:.2g} rad/s."),
+        element("p", f"{done}. Residual standard deviation {estimate.residual_std:.2g} rad/s."),
         table(head, rows, class_="parameters"),
     )
 

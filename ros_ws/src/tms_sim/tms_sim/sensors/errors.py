@@ -58,11 +58,15 @@ class Readings:
 
 
 def measure(truth: Array, errors: SensorErrors, rate: float, rng: np.random.Generator) -> Readings:
-    """Readings of the truth (n, 3) [u], sampled at a constant rate [Hz]."""
-    imperfection = _imperfection(errors, rng)
+    """Readings of the truth (n, 3) [u], sampled at a constant rate [Hz].
+
+    More samples at the end leave those before as they were.
+    """
+    fixed, white, walk = rng.spawn(3)
+    imperfection = _imperfection(errors, fixed)
     values = imperfection.steady(truth)
-    values = values + errors.noise_density * math.sqrt(rate) * rng.standard_normal(truth.shape)
-    steps = rng.standard_normal(truth.shape)
+    values = values + errors.noise_density * math.sqrt(rate) * white.standard_normal(truth.shape)
+    steps = walk.standard_normal(truth.shape)
     steps[:1] = 0.0  # the bias of the run is that of its first sample
     values = values + errors.random_walk * math.sqrt(1.0 / rate) * np.cumsum(steps, axis=0)
     if errors.resolution > 0.0:

@@ -46,18 +46,21 @@ class Delivery:
 def deliver(
     time_ns: NDArray[np.int64], distance: Array, link: Link, start_ns: int, rng: np.random.Generator
 ) -> Delivery:
-    """Send packets at times (n,) [ns, host's clock] from a distance (n,) [m]. Raises ParameterError."""
-    independent, bursts, late, twice = rng.spawn(4)
+    """Send packets at times (n,) [ns, host's clock] from a distance (n,) [m]. Raises ParameterError.
+
+    More packets at the end leave what happens to those before as it was.
+    """
+    independent, chain, inside, late, twice = rng.spawn(5)
     count = len(time_ns)
     lost = independent.random(count) < link.loss
-    lost |= _bad(count, link, bursts) & (bursts.random(count) < link.burst_loss)
+    lost |= _bad(count, link, chain) & (inside.random(count) < link.burst_loss)
     lost |= np.asarray(distance) > link.reach
     again = (twice.random(count) < link.duplicates) & ~lost
     rows = np.sort(np.concatenate([np.flatnonzero(~lost), np.flatnonzero(again)]))
-    delay = link.latency + link.jitter * late.standard_exponential((2, count))
+    delay = link.latency + link.jitter * late.standard_exponential((count, 2))
     second = np.zeros(len(rows), dtype=np.int64)
     second[1:] = rows[1:] == rows[:-1]
-    arrival = time_ns[rows] + np.round(1e9 * delay[second, rows]).astype(np.int64)
+    arrival = time_ns[rows] + np.round(1e9 * delay[rows, second]).astype(np.int64)
     stamps = sensor_clock(time_ns, link, start_ns)[rows]
     return Delivery(rows, stamps, arrival, lost)
 
