@@ -77,7 +77,7 @@ def fit_recording(
 
 def first_stamp(recording: Recording) -> int:
     """Earliest header stamp of the samples [ns]; log times may follow another clock."""
-    series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw, recording.state)
+    series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw)
     stamps = [int(one.time_ns[0]) for one in series if one is not None and len(one.time_ns)]
     return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
 
