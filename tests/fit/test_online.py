@@ -12,7 +12,7 @@ import pytest
 from tms_bag import BagWriter, Record, conversion, read_recording, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import RunInfo, SpeedSamples
-from tms_fit.live import INPUTS, LiveFit
+from tms_fit.live import INPUTS, REORDER_WINDOW, LiveFit
 from tms_fit.messages import estimate_records
 from tms_fit.offline import bicycle_of, fit_recording
 from tms_fit.online import PATIENCE, OnlineFit, StrikeFit
@@ -218,6 +218,12 @@ def live(run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "") -
     return answers + fit.finish()
 
 
+def finals(answers: list[Record]) -> list[Record]:
+    """Estimates of windows that have closed."""
+    estimates = [record for record in answers if record.topic == "/estimate"]
+    return [record for record in estimates if deserialize(record.data, record.type).final]
+
+
 @pytest.fixture
 def recorded(make_run: Any, tmp_path: Path) -> Any:
     """A run, its bag read back and fitted."""
@@ -237,8 +243,8 @@ def recorded(make_run: Any, tmp_path: Path) -> Any:
 def test_live_estimates_are_the_offline_ones_to_the_byte(recorded: Any, scenario: str) -> None:
     run, offline = recorded(scenario, strike__time=1.5037, duration=4.5)
     answers = live(run, messages(run))
-    estimates = [record for record in answers if record.topic == "/estimate"]
-    expected = [record for strike in offline.strikes for record in estimate_records(strike, run.info.bicycle)]
+    estimates = finals(answers)
+    expected = [record for strike in offline.strikes for record in estimate_records(strike)]
     assert len(estimates) == 2
     assert [(record.time_ns, record.data) for record in estimates] == [(r.time_ns, r.data) for r in expected]
     states = [record for record in answers if record.topic == "/filter_state"]
@@ -248,7 +254,7 @@ def test_live_estimates_are_the_offline_ones_to_the_byte(recorded: Any, scenario
 def test_estimate_message_says_what_the_estimate_is(recorded: Any) -> None:
     run, offline = recorded(strike__time=1.5037, duration=4.5)
     (strike,) = offline.strikes
-    for record, estimate in zip(estimate_records(strike, "tms_eq_10_1"), strike.estimates, strict=True):
+    for record, estimate in zip(estimate_records(strike), strike.estimates, strict=True):
         message = deserialize(record.data, record.type)
         assert (message.estimator, message.status, message.bicycle) == (
             estimate.estimator,
@@ -300,9 +306,8 @@ def test_time_that_jumps_back_begins_a_new_run(make_run: Any) -> None:
     samples = [message for message in once if message[0] != topics.RUN_INFO]
     twice = live(run, once + samples)
     alone = live(run, once)
-    assert sum(record.topic == "/estimate" for record in twice) == 4
-    estimates = [record.data for record in twice if record.topic == "/estimate"]
-    assert estimates == 2 * [record.data for record in alone if record.topic == "/estimate"]
+    assert len(finals(twice)) == 4
+    assert [record.data for record in finals(twice)] == 2 * [record.data for record in finals(alone)]
     # The first speed comes before the jump is known, so that two samples make do with the nominal speed; from
     # the strike on, where the filter starts anew, nothing is left of that.
     since = run.info.start_ns + 2_200_000_000
@@ -352,3 +357,74 @@ def test_speed_samples_may_be_missing_altogether(recorded: Any, tmp_path: Path, 
     fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
     assert fit.strikes[0].window is not None
     assert fit.strikes[0].window.start_speed == 3.6
+
+
+def test_order_of_arrival_does_not_matter_within_the_reorder_window(recorded: Any) -> None:
+    run, offline = recorded(strike__time=1.5037, duration=4.5)
+    told, rest = messages(run)[:1], messages(run)[1:]
+    stamps = [conversion_stamp(data) for _, data in rest]
+    delays = np.random.default_rng(3).uniform(0.0, 0.9 * REORDER_WINDOW * SECOND, len(rest))
+    shaken = [rest[index] for index in np.argsort(np.array(stamps) + delays, kind="stable")]
+    assert shaken != rest
+    fit = LiveFit(FitSettings())
+    answers = [record for topic, data in told + shaken for record in fit.take(topic, data)] + fit.finish()
+    expected = [record for strike in offline.strikes for record in estimate_records(strike)]
+    assert [record.data for record in finals(answers)] == [record.data for record in expected]
+    assert fit.diagnostics.get("late", 0) == 0
+    states = [record for record in answers if record.topic == "/filter_state"]
+    assert states == [record for record in live(run, messages(run)) if record.topic == "/filter_state"]
+
+
+def test_late_and_repeated_samples_are_left_out_and_counted(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
+    in_order = messages(run)
+    imu = [number for number, (topic, _) in enumerate(in_order) if topic == topics.IMU]
+    late, twice = in_order[imu[120]], in_order[imu[140]]
+    shaken = [one for number, one in enumerate(in_order) if number != imu[120]]
+    shaken.insert(imu[180], late)  # 0.6 s after its time
+    shaken.insert(imu[141], twice)
+    fit = LiveFit(FitSettings())
+    for topic, data in shaken:
+        fit.take(topic, data)
+    assert (fit.diagnostics["late"], fit.diagnostics["repeated"]) == (1, 1)
+
+
+def test_an_unfolding_response_is_estimated_with_growing_certainty(make_run: Any) -> None:
+    run = make_run("tms_strike", strike__time=1.5037, duration=4.5)
+    answers = [record for record in live(run, messages(run)) if record.topic == "/estimate"]
+    told = [deserialize(record.data, record.type) for record in answers]
+    early = [message for message in told if not message.final]
+    assert [message.final for message in told] == [False] * len(early) + [True, True]
+    assert len(early) >= 3
+    known = [message for message in [*early, told[-2]] if message.status == "ok"]
+    assert {message.estimator for message in known} == {"least_squares"}
+    widths = [message.ci95_high[0] - message.ci95_low[0] for message in known]
+    assert widths[-1] < 0.5 * widths[0]
+    assert all(
+        abs(message.values[0] - 0.5) < 5.0 * (message.ci95_high[0] - message.ci95_low[0]) for message in known
+    )
+
+
+def test_a_strike_can_be_fitted_once_more(recorded: Any) -> None:
+    run, offline = recorded(strike__time=1.5037, duration=6.0)
+    fit = LiveFit(FitSettings())
+    for topic, data in messages(run):
+        fit.take(topic, data)
+    longer = FitSettings(window=3.0, free=("initial_lean_rate", "initial_steer_rate"))
+    again = fit.refit(0, longer)
+    (expected,) = fit_recording(offline.recording, offline.bicycle, longer).strikes
+    for one, other in zip(again.estimates, expected.estimates, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+    with pytest.raises(ParameterError, match=r"expected one of 2\.5"):
+        fit.refit(10 * SECOND, longer)
+    with pytest.raises(ParameterError, match="unknown bicycle"):
+        fit.refit(0, longer, "nonsense")
+    fit.finish()  # when the run is over it can still be done
+    assert fit.refit(0, longer).end_ns == again.end_ns
+
+
+def conversion_stamp(data: bytes) -> int:
+    """Stamp of a message that begins with a header [ns]."""
+    sec, nanosec = np.frombuffer(data[4:12], dtype="<u4")
+    return int(sec) * SECOND + int(nanosec)

@@ -73,6 +73,6 @@ def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
     run = replace(run_of("delft_push", 2), steer_torque=None)
     settings = FitSettings(fixed={"lean_rate_gain": 7.0}, estimators=("least_squares",))
     (strike,) = fit_recording(recording(run), load_bicycle("delft_sbw"), settings).strikes
-    low, high = strike.estimates[0].ci95[0]
-    assert low <= -0.7 <= high
+    one = strike.estimates[0]
+    assert abs(one.values[0] + 0.7) < 4.0 * one.std[0] < 0.02
     assert strike.estimates[0].vaf["lean_rate"] > 0.98

@@ -9,17 +9,17 @@ from tms_bag.messages import message_type, serialize
 from tms_bag.record import Record
 
 from tms_fit.estimate import Estimate
-from tms_fit.online import StrikeFit
 from tms_fit.running_filter import FilterStep
+from tms_fit.strike_fit import StrikeFit
 
 ESTIMATE, ESTIMATE_TYPE = "estimate", "tms_msgs/msg/Estimate"
 FILTER_STATE, FILTER_STATE_TYPE = "filter_state", "tms_msgs/msg/FilterState"
 
 
-def estimate_records(fit: StrikeFit, bicycle: str) -> list[Record]:
+def estimate_records(fit: StrikeFit) -> list[Record]:
     """One record per estimator on the topic `estimate`, stamped with the start of the free response."""
     return [
-        Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, _estimate(fit, one, bicycle))
+        Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, serialize(estimate_message(fit, one)))
         for one in fit.estimates
     ]
 
@@ -40,7 +40,8 @@ def filter_state_record(step: FilterStep) -> Record:
     return Record(f"/{FILTER_STATE}", FILTER_STATE_TYPE, step.time_ns, serialize(message))
 
 
-def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
+def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
+    """A tms_msgs/Estimate."""
     key_value = message_type("diagnostic_msgs/msg/KeyValue")
     diagnostics = {
         "residual_std": estimate.residual_std,
@@ -51,12 +52,12 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
         diagnostics["start_std"] = fit.window.delay_std
         diagnostics["speed"] = fit.window.start_speed
         diagnostics["lean_rate_gain"] = fit.window.lean_rate_gain
-    message = message_type(ESTIMATE_TYPE)(
+    return message_type(ESTIMATE_TYPE)(
         header=_header(fit.start_ns),
         window_start=_time(fit.strike.time_ns),
         window_end=_time(fit.end_ns),
-        final=True,
-        bicycle=bicycle,
+        final=fit.final,
+        bicycle=fit.bicycle,
         estimator=estimate.estimator,
         status=estimate.status,
         message=estimate.message,
@@ -70,7 +71,6 @@ def _estimate(fit: StrikeFit, estimate: Estimate, bicycle: str) -> bytes:
         vaf=np.array(list(estimate.vaf.values()), dtype=float),
         diagnostics=[key_value(key=key, value=repr(float(value))) for key, value in diagnostics.items()],
     )
-    return serialize(message)
 
 
 def _time(time_ns: int) -> Any:

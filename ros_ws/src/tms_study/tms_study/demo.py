@@ -139,7 +139,7 @@ def _live_estimates(bag: Path) -> dict[str, tuple[float, float, float]]:
     with BagReader(bag) as reader:
         for record in reader.records([f"/{ESTIMATE}"]):
             message = deserialize(record.data, ESTIMATE_TYPE)
-            if "initial_lean_rate" in message.names and message.estimator not in found:
+            if message.final and "initial_lean_rate" in message.names and message.estimator not in found:
                 i = message.names.index("initial_lean_rate")
                 found[message.estimator] = (message.values[i], message.ci95_low[i], message.ci95_high[i])
     return found

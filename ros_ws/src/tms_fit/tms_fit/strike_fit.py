@@ -1,0 +1,118 @@
+"""From what was measured after a strike to what each estimator says about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from tms_bag.samples import IntArray
+from tms_model import Bicycle, ParameterError
+from tms_model.bicycle import Array
+
+from tms_fit.alignment import NANOSECONDS, Sample, Series
+from tms_fit.estimate import Estimate
+from tms_fit.estimators import ESTIMATORS
+from tms_fit.estimators.least_squares import refine_start
+from tms_fit.settings import FitSettings
+from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
+from tms_fit.strikes import Strike
+from tms_fit.window import Window, make_window
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Measurements of a stretch of time: all that a window is made of, but the bicycle and the settings."""
+
+    time_ns: IntArray  # (n,)
+    angular_velocity: Array  # (n, 3) [rad/s], SAE axes of the rear frame
+    steer_torque: Array  # (n,) [N m], NaN: unknown
+    speed_time_ns: IntArray  # (m,)
+    speed: Array  # (m,) [m/s]
+    nominal_speed: float  # [m/s], where none was measured; NaN: unknown
+
+    def until(self, end_ns: int) -> Stretch:
+        """The part up to a time, which is included."""
+        rows, speeds = self.time_ns <= end_ns, self.speed_time_ns <= end_ns
+        return Stretch(
+            self.time_ns[rows],
+            self.angular_velocity[rows],
+            self.steer_torque[rows],
+            self.speed_time_ns[speeds],
+            self.speed[speeds],
+            self.nominal_speed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class StrikeFit:
+    """One strike and what each estimator says about it."""
+
+    strike: Strike
+    stretch: Stretch
+    window: Window | None  # None: there was nothing to compare with, the estimates say why
+    estimates: tuple[Estimate, ...]
+    bicycle: str
+    final: bool = True  # False: more of this response is still to come
+
+    @property
+    def start_ns(self) -> int:
+        """Start of the free response."""
+        return self.window.start_ns if self.window else self.strike.time_ns
+
+    @property
+    def end_ns(self) -> int:
+        """Last sample used."""
+        return int(self.stretch.time_ns[-1])
+
+
+def stretch_of(samples: Sequence[Sample], speed: Series, nominal_speed: float) -> Stretch:
+    """Stretch of some samples, one at least, in ascending time."""
+    speed_time_ns, speeds = speed.between(samples[0].time_ns, samples[-1].time_ns)
+    return Stretch(
+        np.array([one.time_ns for one in samples]),
+        np.array([one.angular_velocity for one in samples]),
+        np.array([one.steer_torque for one in samples]),
+        speed_time_ns,
+        speeds,
+        nominal_speed,
+    )
+
+
+def window_of(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> Window:
+    """Window of a stretch. Raises ParameterError where the speed isn't known."""
+    torque = stretch.steer_torque if np.isfinite(stretch.steer_torque).any() else None
+    speed = _speed(stretch, settings)
+    return make_window(bicycle, settings, stretch.time_ns, stretch.angular_velocity, speed, torque)
+
+
+def fit_strike(
+    strike: Strike,
+    stretch: Stretch,
+    bicycle: Bicycle,
+    settings: FitSettings,
+    final: bool = True,
+) -> StrikeFit:
+    """Fit the free response after a strike, that the stretch holds, by all estimators of the settings."""
+    try:
+        window = window_of(stretch, bicycle, settings)
+    except ParameterError as error:
+        estimates = tuple(Estimate(name, "not_observable", str(error)) for name in settings.estimators)
+        return StrikeFit(strike, stretch, None, estimates, bicycle.name, final)
+    if strike.sharp:
+        window = refine_start(window, settings, (strike.time_ns - strike.before_ns) / 1e9)
+    estimates = tuple(ESTIMATORS[name](window, settings) for name in settings.estimators)
+    return StrikeFit(strike, stretch, window, estimates, bicycle.name, final)
+
+
+def _speed(stretch: Stretch, settings: FitSettings) -> SpeedCurve:
+    if "speed" in settings.fixed:
+        return constant_speed(settings.fixed["speed"])
+    if np.isfinite(stretch.speed).any():
+        times = (stretch.speed_time_ns - stretch.time_ns[0]) / NANOSECONDS
+        return speed_curve(times, stretch.speed, settings.speed_model)
+    if not np.isfinite(stretch.nominal_speed):
+        raise ParameterError(
+            "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"
+        )
+    return constant_speed(stretch.nominal_speed)
