@@ -92,6 +92,35 @@ def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Any, tmp_pat
     assert values == {one.estimator: one.values[0] for one in offline.strikes[0].estimates}
 
 
+@pytest.mark.parametrize("window", [500, 7])
+def test_a_lossless_replay_as_fast_as_it_goes_gives_the_answer_of_the_offline_fit(
+    nodes: Any, tmp_path: Path, window: int
+) -> None:
+    write(run_of(seed=6), tmp_path / "bag")
+    listener = nodes.start(
+        "tms_bag", "recorder", "-p", f"output:={tmp_path / 'live'}", "-p", "topics:=[estimate,filter_state]"
+    )
+    estimator = nodes.start("tms_fit", "estimator", "-p", "idle:=0.5")
+    for topic in ("estimate", "filter_state"):
+        nodes.wait_for("recorder", f"recording /{topic}")
+    parameters = [f"bag:={tmp_path / 'bag'}", "rate:=1000.0", "lossless:=true", f"window:={window}"]
+    player = nodes.start("tms_bag", "player", *(word for text in parameters for word in ("-p", text)))
+    nodes.finish(player)
+    expected = expected_messages(tmp_path / "bag")
+
+    def found(topic: str) -> list[bytes]:
+        with BagReader(tmp_path / "live") as reader:
+            return [record.data for record in reader.records([topic])]
+
+    deadline = time.monotonic() + DEADLINE
+    while any(len(found(topic)) < len(messages) for topic, messages in expected.items()):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    nodes.stop(estimator)
+    nodes.stop(listener)
+    assert {topic: found(topic) for topic in expected} == expected
+
+
 def expected_messages(bag: Path) -> dict[str, list[bytes]]:
     """What a live fit publishes when it is given the bag's messages in order, without any ROS."""
     live = LiveFit(FitSettings())

@@ -166,3 +166,49 @@ def test_wrong_sensors_are_refused(
     monkeypatch.setattr("tms_sim.imu_grade.FOLDER", tmp_path)
     with pytest.raises(ParameterError, match=next(iter(wrong))):
         load_imu("mine")
+
+
+def test_a_scenario_says_what_differs_from_its_parent(tmp_path: Path) -> None:
+    text = {"description": "mine", "source": "me", "uncertainty": "all of it"}
+    (tmp_path / "first.yaml").write_text(
+        yaml.safe_dump({**text, "parent": "tms_strike", "speed": 4.0, "strike": {"lean_rate": -0.1}})
+    )
+    (tmp_path / "second.yaml").write_text(yaml.safe_dump({**text, "parent": "first.yaml", "duration": 5.0}))
+    mine, whole = load_scenario(str(tmp_path / "second.yaml")), load_scenario("tms_strike")
+    expected = whole.values | {"speed": 4.0, "strike.lean_rate": -0.1, "duration": 5.0}
+    assert mine.values == expected
+    assert mine.name == "second"
+
+
+@pytest.mark.parametrize(
+    ("parent", "said"),
+    [("moon", "parent: expected a scenario"), ("mine.yaml", "parent: expected a scenario"), (3, "parent")],
+)
+def test_parents_that_are_none_are_refused(parent: Any, said: str, tmp_path: Path) -> None:
+    text = {"description": "mine", "source": "me", "uncertainty": "all of it"}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({**text, "parent": parent}))
+    with pytest.raises(ParameterError, match=said):
+        load_scenario(str(tmp_path / "mine.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"strike.time": [1.0, 2.0], "strike.lean_rate": [0.1, 0.2, 0.3]}, "as many as strike.time"),
+        ({"strike.time": [2.0, 1.0]}, "one after the other"),
+        ({"strike.time": []}, "strike.time: expected"),
+        ({"strike.time": [1.0, True]}, "found"),
+        ({"run_up.duration": 3.0}, "after the release"),
+        ({"effects.slip": 1}, "effects.slip: expected .*, true or false, found 1"),
+        ({"effects.slip": "yes"}, "effects.slip: expected"),
+    ],
+)
+def test_strikes_and_switches_are_told_as_they_must_be(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        load_scenario("tms_strike", changes)
+
+
+def test_one_number_serves_all_strikes() -> None:
+    scenario = load_scenario("tms_strike", {"strike.time": [1.0, 2.0, 3.0], "strike.lean_rate": 0.2})
+    assert scenario.numbers("strike.time") == (1.0, 2.0, 3.0)
+    assert scenario.numbers("strike.lean_rate") == (0.2,)

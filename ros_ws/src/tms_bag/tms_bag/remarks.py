@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import yaml
 
@@ -33,6 +34,14 @@ def closing_words(counts: Mapping[str, int], lost: Mapping[str, int], not_record
         by_topic = ", ".join(f"{topic} {count}" for topic, count in lost.items())
         words += f", {sum(lost.values())} lost ({by_topic})"
     return words + (f"; not recorded: {', '.join(not_recorded)}" if not_recorded else "")
+
+
+def disk_words(bag: Path, error: OSError) -> str:
+    """What a recorder says when its disk takes no more."""
+    return (
+        f"{bag}: can't be written any further ({error.strerror}); `tms bag repair {bag}` makes a clean bag of"
+        " what is there"
+    )
 
 
 def _text(values: Mapping[str, object]) -> str:

@@ -22,7 +22,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Parse the arguments and answer. Raises ParameterError and RecordingError."""
     arguments = _parser().parse_args(argv)
     if arguments.command == "run":
-        fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
+        estimators = tuple(arguments.estimator or FitSettings.estimators)
+        fit = _fit(arguments, estimators, tuple(arguments.strike))
         if arguments.json:
             print_json(to_json(fit))
         else:
@@ -77,6 +78,15 @@ def _parser() -> Parser:
         command.add_argument("--steer-torque-topic", help="topic of type tms_msgs/msg/SteerTorque")
         if name == "run":
             command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+            command.add_argument(
+                "--strike",
+                action="append",
+                default=[],
+                type=float,
+                metavar="TIME",
+                help="start of a free response [s since the recording's start], in place of those found;"
+                " may be repeated",
+            )
         elif name == "report":
             command.add_argument("-o", "--output", required=True, help="file to write, .html")
             command.add_argument(
@@ -149,7 +159,9 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> RecordingFit:
+def _fit(
+    arguments: argparse.Namespace, estimators: tuple[str, ...], strike_times: tuple[float, ...] = ()
+) -> RecordingFit:
     settings = FitSettings(
         free=arguments.free,
         fixed=dict(arguments.fix),
@@ -164,7 +176,7 @@ def _fit(arguments: argparse.Namespace, estimators: tuple[str, ...]) -> Recordin
     recording = read_recording(
         arguments.bag, arguments.imu_topic, arguments.speed_topic, arguments.steer_torque_topic
     )
-    return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings)
+    return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings, strike_times)
 
 
 def _names(text: str) -> tuple[str, ...]:

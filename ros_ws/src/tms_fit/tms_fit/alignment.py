@@ -16,7 +16,8 @@ import numpy as np
 from tms_bag.samples import IntArray
 from tms_model.bicycle import Array
 
-NANOSECONDS = 1_000_000_000
+from tms_fit.strike import NANOSECONDS
+
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
 
 

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from tms_fit.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
+from tms_fit.strike import NANOSECONDS, Rejected
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class RecordingFit:
     bicycle: Bicycle
     settings: FitSettings
     strikes: tuple[StrikeFit, ...]
+    rejected: tuple[Rejected, ...] = ()  # changes that were looked at and not taken for strikes
 
 
 def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
@@ -38,8 +40,14 @@ def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
     return load_bicycle(found)
 
 
-def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings) -> RecordingFit:
-    """Find the strikes of a recording and fit each. Raises RecordingError without a speed or a lean rate."""
+def fit_recording(
+    recording: Recording, bicycle: Bicycle, settings: FitSettings, strike_times: tuple[float, ...] = ()
+) -> RecordingFit:
+    """Find the strikes of a recording and fit each. Raises RecordingError without a speed or a lean rate.
+
+    strike_times: starts of the free responses that somebody states [s since the recording's first stamp], in
+    place of those found. Raises RecordingError where there are no samples at one of them.
+    """
     info = recording.run_info
     nominal = info.speed if info else float("nan")
     if recording.speed is None and "speed" not in settings.fixed and not np.isfinite(nominal):
@@ -56,21 +64,34 @@ def fit_recording(recording: Recording, bicycle: Bicycle, settings: FitSettings)
             f" {np.fmax.reduce(recording.speed.speed):g} m/s;"
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
         )
-    online = OnlineFit(bicycle, settings, orientation_of(info), nominal, running_filter=False)
+    given = tuple(_stamp(recording, time) for time in sorted(set(strike_times)))
+    online = OnlineFit(bicycle, settings, orientation_of(info), nominal, False, given)
     feed(online, recording)
     if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
         raise RecordingError(
             f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN"
         )
     strikes = [result for result in online.results() if isinstance(result, StrikeFit)]
-    return RecordingFit(recording, bicycle, settings, tuple(strikes))
+    return RecordingFit(recording, bicycle, settings, tuple(strikes), tuple(online.rejected))
 
 
 def first_stamp(recording: Recording) -> int:
     """Earliest header stamp of the samples [ns]; log times may follow another clock."""
-    series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw, recording.state)
+    series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw)
     stamps = [int(one.time_ns[0]) for one in series if one is not None and len(one.time_ns)]
     return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
+
+
+def _stamp(recording: Recording, time: float) -> int:
+    """Stamp [ns] of a time since the start [s]. Raises RecordingError outside the IMU's samples."""
+    start_ns, stamps = first_stamp(recording), recording.imu.time_ns
+    low, high = ((int(stamp) - start_ns) / NANOSECONDS for stamp in (stamps[0], stamps[-1]))
+    if not low <= time < high:
+        raise RecordingError(
+            f"{recording.path}: strike: expected a time inside the IMU's samples, {low:.3f} to {high:.3f} s,"
+            f" found {time:g}"
+        )
+    return start_ns + round(time * NANOSECONDS)
 
 
 def orientation_of(info: RunInfo | None) -> Array:

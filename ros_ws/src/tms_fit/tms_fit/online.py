@@ -10,13 +10,15 @@ from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
-from tms_fit.alignment import NANOSECONDS, PATIENCE, Alignment, Sample
+from tms_fit.alignment import PATIENCE, Alignment, Sample
 from tms_fit.estimators import check_names
+from tms_fit.given_strikes import GivenStrikes
 from tms_fit.projection import Problem, solve
 from tms_fit.running_filter import FilterStep, RunningFilter
 from tms_fit.settings import INITIAL, FitSettings
+from tms_fit.strike import NANOSECONDS, Rejected, Strike
 from tms_fit.strike_fit import Stretch, StrikeFit, fit_strike, stretch_of, window_of
-from tms_fit.strikes import Strike, StrikeDetector
+from tms_fit.strikes import StrikeDetector
 
 __all__ = ["PATIENCE", "OnlineFit", "StrikeFit"]
 
@@ -41,13 +43,15 @@ class OnlineFit:
         imu_orientation: Array,
         nominal_speed: float = float("nan"),
         running_filter: bool = True,
+        strike_times: tuple[int, ...] = (),
         reorder_window: float = 0.0,
         preview_period: float | None = None,
     ) -> None:
         """Nothing is known yet.
 
         imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103).
-        nominal_speed [m/s]: used without a speed topic.
+        nominal_speed [m/s]: used without a speed topic. strike_times [ns]: starts of the free responses
+        that somebody states; without any they are looked for.
         reorder_window [s]: how late an IMU sample may be.
         preview_period [s]: how often an unfolding response is fitted, by the first estimator; None: not.
         """
@@ -55,7 +59,7 @@ class OnlineFit:
         self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
         self._filter = RunningFilter(bicycle, settings.gyroscope_noise) if running_filter else None
-        self._detector = StrikeDetector()
+        self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
         self._aligned = Alignment(reorder_window, settings.fixed.get("speed"))
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
         self._previewed_ns = 0
@@ -86,6 +90,11 @@ class OnlineFit:
         self._release(finished=True)
         while self._strikes:
             self._fit()
+
+    @property
+    def rejected(self) -> list[Rejected]:
+        """The latest changes that were looked at and not taken for strikes."""
+        return list(self._detector.rejected)
 
     def results(self) -> list[StrikeFit | FilterStep]:
         """What has become known since the last call, in order."""
@@ -118,8 +127,8 @@ class OnlineFit:
     def _use(self, sample: Sample) -> None:
         self._used.append(sample)
         strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
-        if strike is not None and self._is_free_response(strike):
-            self._detector.withdraw()
+        if strike is not None and strike.kind != "given" and self._is_free_response(strike):
+            self._detector.withdraw("the bicycle's own motion, as the model continues what came before")
             strike = None
         if strike is not None:
             self._strikes.append(strike)

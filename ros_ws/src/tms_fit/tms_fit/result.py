@@ -8,7 +8,7 @@ from tms_fit.answer import COLOURED
 from tms_fit.estimate import Estimate
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
-from tms_fit.strikes import StrikeSettings
+from tms_fit.strike import Strike, StrikeSettings
 
 
 def to_json(fit: RecordingFit) -> dict[str, Any]:
@@ -29,6 +29,9 @@ def to_json(fit: RecordingFit) -> dict[str, Any]:
             "window": fit.settings.window,
             "steer_torque": fit.settings.steer_torque,
         },
+        "rejected": [
+            {"time_ns": one.time_ns, "lean_rate_change": one.change, "why": one.why} for one in fit.rejected
+        ],
         "recording": dict(fit.recording.custom_data),
         "warnings": list(fit.recording.warnings),
     }
@@ -40,10 +43,26 @@ def _strike(fit: StrikeFit) -> dict[str, Any]:
         "time_ns": fit.start_ns,
         "window": [fit.strike.time_ns, fit.end_ns],
         "lean_rate_change": fit.strike.change,
+        "detection": _detection(fit.strike),
         "start_std": window.delay_std if window else None,
         "speed": window.start_speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [_estimate(one) for one in fit.estimates],
+    }
+
+
+def _detection(strike: Strike) -> dict[str, Any]:
+    """Why there is a strike, in words and figures."""
+    return {
+        "kind": strike.kind,
+        "why": strike.why,
+        "onset_ns": strike.onset_ns,
+        "end_ns": strike.end_ns,
+        "end_std": strike.end_std,
+        "rise": strike.rise,
+        "needed": strike.needed,
+        "noise": strike.noise,
+        "sharp": strike.sharp,
     }
 
 
@@ -86,12 +105,26 @@ def to_table(fit: RecordingFit) -> str:
         for estimate in strike.estimates:
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
+    lines.extend(_reasons(fit))
     if any(line.endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:
         least = StrikeSettings().least_change
         lines.append(f"no strike: no sudden change of the lean rate of {least:g} rad/s or more within 0.3 s")
     return "\n".join(lines)
+
+
+def _reasons(fit: RecordingFit) -> list[str]:
+    """Why each strike is one, and how many changes were none."""
+    first = first_stamp(fit.recording)
+    lines = [
+        f"{(one.start_ns - first) / 1e9:10.4f} {one.strike.kind}: {one.strike.why}" for one in fit.strikes
+    ]
+    if fit.rejected:
+        lines.append(
+            f"looked at and not taken: {len(fit.rejected)} changes (--json says why; --strike TIME overrides)"
+        )
+    return lines
 
 
 def _in_words(estimate: Estimate) -> str:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 
-from tms_fit.alignment import NANOSECONDS, Sample, Series
+from tms_fit.alignment import Sample, Series
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
-from tms_fit.strikes import Strike
+from tms_fit.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, make_window
 
 
@@ -101,6 +101,9 @@ def fit_strike(
         return StrikeFit(strike, stretch, None, estimates, bicycle.name, final)
     if strike.sharp:
         window = refine_start(window, settings, (strike.time_ns - strike.before_ns) / 1e9)
+    elif strike.end_ns < strike.time_ns:
+        delay = (strike.time_ns - strike.end_ns) / NANOSECONDS
+        window = replace(window, delay=delay, delay_std=strike.end_std)
     estimates = tuple(ESTIMATORS[name](window, settings) for name in settings.estimators)
     return StrikeFit(strike, stretch, window, estimates, bicycle.name, final)
 

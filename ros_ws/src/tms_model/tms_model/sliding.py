@@ -80,7 +80,7 @@ def sliding_equations(
 
 
 def _mass(p: WhippleParameters) -> Array:
-    """M4: inertia of the whole bicycle about the rear contact, and of the front assembly by the steer axis."""
+    """M4: the whole bicycle about the rear contact, and the front assembly about the steer axis."""
     cos, sin = math.cos(p.steer_axis_tilt), math.sin(p.steer_axis_tilt)
     x_B, z_B, m_B = p.rear_frame_x, p.rear_frame_z, p.rear_frame_mass
     x_H, z_H, m_H = p.front_frame_x, p.front_frame_z, p.front_frame_mass

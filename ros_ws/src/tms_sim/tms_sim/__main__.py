@@ -11,6 +11,7 @@ from tms_bag import BagWriter, RecordingError, topics
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 
+from tms_sim.blind import blind_custom_data, blind_records, blinded, truth_path, write_truth
 from tms_sim.fault_command import fault, fault_arguments
 from tms_sim.run import simulate
 from tms_sim.scenario import description, load_scenario, parse_change, scenario_names
@@ -44,6 +45,9 @@ def _parser() -> Parser:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a key, e.g. strike.time=1.5"
     )
     one.add_argument("--force", action="store_true", help="replace the bag if it exists")
+    one.add_argument(
+        "--blind", action="store_true", help="leave the truth out of the bag: it goes to BAG.truth.json"
+    )
     return parser
 
 
@@ -62,9 +66,21 @@ def _run(arguments: argparse.Namespace) -> None:
         changes["seed"] = arguments.seed
     scenario = load_scenario(arguments.scenario, changes)
     result = simulate(scenario, np.random.default_rng(scenario.integer("seed")))
-    with BagWriter(arguments.output, custom_data=result.custom_data(), overwrite=arguments.force) as bag:
-        for record in result.records():
+    truth = truth_path(arguments.output)
+    if truth.exists() and not arguments.force:
+        raise RecordingError(f"{truth}: exists already; choose another bag, or replace both with --force")
+    if arguments.blind:
+        told = blinded(result, scenario)
+        records, custom_data = blind_records(told), blind_custom_data(told.info)
+    else:
+        records, custom_data = result.records(), result.custom_data()
+    with BagWriter(arguments.output, custom_data=custom_data, overwrite=arguments.force) as bag:
+        for record in records:
             bag.write(record, topics.QOS[record.topic.removeprefix("/")])
+    truth.unlink(missing_ok=True)  # of the bag that this one replaces
+    if arguments.blind:
+        write_truth(result, scenario, arguments.output)
+        return
     if result.fallen_at is not None:
         print(
             f"the bicycle falls {result.fallen_at:.2f} s after the start; the run ends there", file=sys.stderr

@@ -153,6 +153,11 @@ def _contacts(scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: 
             f"effects.slip: expected weight on both wheels, found {weights[0]:.3g} N on the rear and"
             f" {weights[1]:.3g} N on the front wheel of {bicycle.name}; switch slip off"
         )
+    if np.linalg.cond(equations.mass) > 1e12:
+        raise ParameterError(
+            f"effects.slip: expected a bicycle with inertia in every motion, found {bicycle.name}, whose"
+            " masses are points; switch slip off, or give its frames moments of inertia"
+        )
     pressed = weights * (1.0 + load / weights.sum())
     # What slows a wheel down is no longer there to hold it sideways.
     grip = math.sqrt(max(floor.lateral_friction**2 - floor.rolling_resistance**2, 0.0))

@@ -44,7 +44,6 @@ KEYS: dict[str, Key] = {
         0.0,
     ),
     "duration": Key(float, "longest that the run may last [s]", 0.1, 3600.0),
-    "motion": Key(str, "linear or nonlinear: equations of the motion", default="linear"),
     "floor": Key(str, "name of the floor, or a .yaml file", default="ideal"),
     "wheels": Key(str, "name of the wheels, or a .yaml file", default="aluminium"),
     "intervention": Key(str, "what was changed at the bicycle, by name, or a .yaml file", default="none"),

@@ -1,5 +1,6 @@
 """Scenarios as data: what is run, how it is struck, how it is measured.
 
+A file says its keys, or a `parent`, another scenario, and the keys that differ from it.
 One table, `tms_sim.keys.KEYS`, says for each key its kind, unit, range, meaning and default. The YAML files
 in `scenarios/`, the command line's `--set` and the simulator node's parameters all go by it.
 """
@@ -83,7 +84,7 @@ def load_scenario(name: str, changes: dict[str, Any] | None = None) -> Scenario:
             f"unknown scenario {name!r}: expected one of {', '.join(scenario_names())}, or the path of a"
             " .yaml file"
         )
-    values = _flat(read_yaml(path), str(path))
+    values = _flat(_document(path), str(path))
     for key, value in (changes or {}).items():
         if key not in KEYS:
             raise ParameterError(f"unknown key {key!r}: expected one of {', '.join(KEYS)}")
@@ -108,6 +109,27 @@ def parse_change(text: str) -> tuple[str, Any]:
     except yaml.YAMLError:
         pass
     raise ParameterError(f"--set: expected KEY=VALUE, found {text!r}")
+
+
+def _document(path: Path, children: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """What a file says, and what its parent says where it says nothing. Raises ParameterError."""
+    document = read_yaml(path)
+    if "parent" not in document:
+        return document
+    parent = str(document.pop("parent"))
+    other = path.parent / parent if parent.endswith((".yaml", ".yml")) else FOLDER / f"{parent}.yaml"
+    if path in children or (other.parent == FOLDER and parent not in scenario_names()):
+        raise ParameterError(
+            f"{path}: parent: expected a scenario of the catalogue or a .yaml file, and none of its own"
+            f" children, found {parent!r}"
+        )
+    whole = {key: value for key, value in _document(other, (*children, path)).items() if key not in TEXT}
+    for key, value in document.items():
+        inherited = whole.get(key)
+        if isinstance(value, dict) and isinstance(inherited, dict):
+            value = {**inherited, **value}
+        whole[key] = value
+    return whole
 
 
 def _flat(document: dict[str, Any], where: str) -> dict[str, Any]:

@@ -9,11 +9,21 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rosgraph_msgs.msg import Clock
 
 from tms_bag.errors import RecordingError
 from tms_bag.qos import INFINITE_NS, Qos
 
+# What `qos_overrides./topic.publisher.*` parameters may change.
+OVERRIDABLE = QoSOverridingOptions(
+    policy_kinds=(
+        QoSPolicyKind.HISTORY,
+        QoSPolicyKind.DEPTH,
+        QoSPolicyKind.RELIABILITY,
+        QoSPolicyKind.DURABILITY,
+    )
+)
 LEAST_DEPTH = 5000  # [messages]
 
 

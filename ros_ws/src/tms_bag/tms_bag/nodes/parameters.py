@@ -38,12 +38,13 @@ def declare(
 
 
 def refuse_unknown_parameters(node: Node) -> None:
-    """Raise ParameterError if a parameter was given that the node does not have: a typo, most likely."""
+    """Raise ParameterError if a parameter was given that the node does not have: a typo, most likely.
+
+    To be called after publishers have been made, which declare their `qos_overrides`.
+    """
     # rclpy keeps what was given to itself; undeclared names are otherwise passed over without a word.
     given = node._parameter_overrides
-    unknown = [
-        name for name in given if not node.has_parameter(name) and not name.startswith("qos_overrides.")
-    ]
+    unknown = [name for name in given if not node.has_parameter(name)]
     if unknown:
         own = sorted(
             name for name in node.get_parameters_by_prefix("") if name != "start_type_description_service"

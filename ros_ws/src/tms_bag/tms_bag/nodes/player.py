@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import suppress
 from threading import Thread
 from typing import Any
@@ -12,16 +13,19 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from tms_bag.errors import RecordingError
+from tms_bag.delays import Delays
 from tms_bag.nodes import publishing
 from tms_bag.nodes.diagnostics import Report, report_every_second
+from tms_bag.nodes.handled import Window
 from tms_bag.nodes.interfaces import clock_message
-from tms_bag.nodes.pacing import Pacing
-from tms_bag.nodes.parameters import declare, declare_names, refuse_unknown_parameters
+from tms_bag.nodes.parameters import refuse_unknown_parameters
+from tms_bag.nodes.player_services import offer_services
+from tms_bag.nodes.player_settings import declare_player_settings
 from tms_bag.nodes.process import run_node
-from tms_bag.reader import BagReader
+from tms_bag.record import Record
+from tms_bag.transport import Transport
 
-STEP = 0.01  # [s] how often the clock ticks, and a signal or a new rate is noticed
+STEP = 0.01  # [s] how often a signal is noticed
 ACKNOWLEDGE_TIMEOUT = 10.0  # [s]
 
 
@@ -30,28 +34,18 @@ class Player(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("player", **kwargs)
-        path = declare(self, "bag", "", "bag (a folder) or .mcap file to play")
-        declare(self, "rate", 1.0, "times real time", 0.01, 1000.0, read_only=False)
-        offset = declare(self, "start_offset", 0.0, "start this much into the bag [s]", 0.0, 1e9)
-        self._loop = declare(self, "loop", False, "start anew at the end")
-        clock = declare(self, "publish_clock", False, "publish the bag's time on /clock")
-        chosen = declare_names(self, "topics", "names of topics to play; empty: all")
-        self._awaited = declare(
-            self, "wait_for_subscriptions", 0, "subscriptions to wait for, all topics together", 0, 1000
-        )
-        self._patience = declare(self, "wait_timeout", 30.0, "longest wait for them [s]", 0.0, 1e6)
+        self._settings = its = declare_player_settings(self)
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if its.clock_period else None
+        left_out = ("/clock",) if self._clock_publisher else ()
+        self._playing = publishing.make_publishers(self, its.bag, its.selection, left_out)
         refuse_unknown_parameters(self)
-        if not path:
-            raise RecordingError("parameter bag: expected the path of a bag, found nothing; say -p bag:=PATH")
-        self._bag = BagReader(path)
-        length = (self._bag.end_ns - self._bag.start_ns) / 1e9
-        if offset > length:
-            raise RecordingError(f"parameter start_offset: expected at most {length:g} s, found {offset:g} s")
-        self._start_ns = self._bag.start_ns + round(offset * 1e9)
-        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if clock else None
-        self._playing = publishing.make_publishers(self, self._bag, chosen, ("/clock",) if clock else ())
-        self._pacing = Pacing(self._start_ns, self._rate)
-        self._played = 0
+        self._transport = Transport(its.start_ns, self._rate, its.start_paused)
+        self._window = (
+            Window(self, its.handled_topics, its.window, its.wait_timeout) if its.lossless else None
+        )
+        self._delays, self._played, self._tick_at = Delays(), 0, 0.0
+        offer_services(self, self._transport, its.start_ns, its.end_ns)
+        self.add_post_set_parameters_callback(lambda changed: self._transport.set_rate(self._rate))
         self._spinner = SingleThreadedExecutor(context=self.context)
         self._answering = Thread(target=self._answer)  # services; messages are timed in the main thread
         report_every_second(self, self._report)
@@ -61,19 +55,21 @@ class Player(Node):
         return float(self.get_parameter("rate").value)
 
     def run(self) -> None:
-        """Play to the end (or, with loop, until a signal), and wait until all is acknowledged."""
+        """Play to the end (or, with loop, until a signal), and wait until all is acknowledged, or handled."""
+        its = self._settings
         self._answering.start()
-        publishing.wait_for_subscriptions(self._playing, self._awaited, self._patience, self.context)
-        topics = sorted(self._playing)
-        self.get_logger().info(f"playing {self._bag.path}: {', '.join(topics) or 'nothing'}")
-        again = True
-        while again:
-            self._pacing = Pacing(self._start_ns, self._rate)
-            for record in publishing.records_from(self._bag, topics, self._start_ns):
-                self._pacing.wait_until(record.time_ns, STEP, self._between)
-                self._playing[record.topic].publish(record.data)
-                self._played += 1
-            again = self._loop and self._played > 0
+        publishing.wait_for_subscriptions(
+            self._playing, its.wait_for_subscriptions, its.wait_timeout, self.context
+        )
+        if self._window:
+            self._window.begin(self._between)
+        self.get_logger().info(f"playing {its.bag.path}: {', '.join(sorted(self._playing)) or 'nothing'}")
+        self._transport.seek(its.start_ns)
+        while (start_ns := self._transport.take_target()) is not None:
+            if self._play_from(start_ns) and its.loop and self._played:
+                self._transport.seek(its.start_ns)
+        if self._window:
+            self._window.wait_for_all(self._between)
         for publisher in self._playing.values():
             publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT))
 
@@ -82,17 +78,37 @@ class Player(Node):
         self._spinner.shutdown()
         if self._answering.is_alive():
             self._answering.join()
-        self._bag.close()
-        late = f"at most {self._pacing.largest_delay * 1e3:.1f} ms late"
-        print(f"{self._bag.path}: {self._played} messages played, {late}", file=sys.stderr)
+        self._settings.bag.close()
+        late = f"at most {self._delays.largest * 1e3:.1f} ms late"
+        print(f"{self._settings.bag.path}: {self._played} messages played, {late}", file=sys.stderr)
+
+    def _play_from(self, start_ns: int) -> bool:
+        """Play from a time of the bag [ns] on; returns whether the end was reached."""
+        its = self._settings
+        for record in publishing.records_from(its.bag, sorted(self._playing), start_ns, its.end_ns + 1):
+            late = self._transport.wait_until(max(record.time_ns, start_ns), STEP, self._between)
+            if late is None:
+                return False
+            self._publish(record)
+            if record.time_ns >= start_ns:  # latched messages from before the start are not late
+                self._delays.add(late)
+        return True
+
+    def _publish(self, record: Record) -> None:
+        if self._window:
+            self._window.wait_for_room(record.topic, self._between)
+            self._window.count(record.topic)
+            self._transport.stand_at(record.time_ns)
+        self._playing[record.topic].publish(record.data)
+        self._played += 1
 
     def _between(self) -> None:
-        """While waiting for the next message: notice a signal or a new rate, let the clock tick."""
+        """While waiting for the next message: notice a signal, let the clock tick."""
         if not self.context.ok():
             raise ExternalShutdownException
-        self._pacing.set_rate(self._rate)
-        if self._clock_publisher:
-            self._clock_publisher.publish(clock_message(self._pacing.now_ns()))
+        if self._clock_publisher and time.monotonic() >= self._tick_at:
+            self._tick_at = time.monotonic() + self._settings.clock_period
+            self._clock_publisher.publish(clock_message(self._transport.now_ns()))
 
     def _answer(self) -> None:
         with suppress(ExternalShutdownException):
@@ -100,14 +116,17 @@ class Player(Node):
             self._spinner.spin()
 
     def _report(self) -> Report:
-        delay = self._pacing.largest_delay
-        subscriptions = publishing.subscription_count(self._playing)
-        values = {
+        late = self._delays
+        values: dict[str, object] = {
             "messages": self._played,
-            "subscriptions": subscriptions,
-            "largest delay [s]": f"{delay:.4f}",
+            "subscriptions": publishing.subscription_count(self._playing),
+            "rate": self._transport.rate,
+            "median delay [s]": f"{late.quantile(0.5):.6f}",
+            "99 % delay [s]": f"{late.quantile(0.99):.6f}",
+            "largest delay [s]": f"{late.largest:.4f}",
         }
-        return f"{self._played} messages of {self._bag.path}", delay < 0.1, values
+        doing = "paused: " if self._transport.paused else ""
+        return f"{doing}{self._played} messages of {self._settings.bag.path}", late.largest < 0.1, values
 
 
 def main(args: list[str] | None = None) -> int:

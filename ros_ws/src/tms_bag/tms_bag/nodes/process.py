@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,9 +11,11 @@ from typing import Protocol
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 from tms_model import ParameterError
 
 from tms_bag.errors import RecordingError
+from tms_bag.nodes.security import refuse_without_security
 
 RCLError = rclpy_implementation.RCLError
 BAD_ARGUMENTS = (rclpy_implementation.UnknownROSArgsError, RCLError)
@@ -33,13 +36,19 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
 
     0: done, or stopped by SIGINT or SIGTERM; 1: the system failed (a full disk); 2: bad input.
     """
+    caught = _catch_signals()
     try:
-        rclpy.init(args=args)
-    except BAD_ARGUMENTS as error:
+        refuse_without_security(args)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except (*BAD_ARGUMENTS, ParameterError) as error:
         return _complain(error, 2)
     node, code = None, 0
     try:
         node = create()
+        rclpy.get_global_executor()  # made now, since it can't be after a signal
+        install_signal_handlers(SignalHandlerOptions.ALL)
+        if caught:
+            signal.raise_signal(caught[0])
         node.run()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -53,6 +62,19 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
     finally:
         code = _close(node, code)
     return code
+
+
+def _catch_signals() -> list[int]:
+    """Catch SIGINT and SIGTERM; returns the list of those that have come.
+
+    While a node is made they wait, since what they shut down must not be half made. Afterwards rclpy's own
+    handlers shut rclpy down, which ends waiting and spinning, and nothing else: Python would raise
+    KeyboardInterrupt wherever it is, in the middle of writing a message, too.
+    """
+    caught: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda came, frame: caught.append(came))
+    return caught
 
 
 def _close(node: Runnable | None, code: int) -> int:

@@ -11,37 +11,41 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from tms_bag.errors import RecordingError
-from tms_bag.nodes.interfaces import message_class, offered_profile
+from tms_bag.nodes.interfaces import OVERRIDABLE, message_class, offered_profile
 from tms_bag.reader import BagReader
 from tms_bag.record import Record
+from tms_bag.selection import Selection
 
 Publishers = dict[str, Any]  # by topic
 
 
-def make_publishers(node: Node, bag: BagReader, chosen: list[str], left_out: tuple[str, ...]) -> Publishers:
-    """A publisher for each chosen topic (none chosen: all), with the quality of service that was recorded.
+def make_publishers(
+    node: Node, bag: BagReader, selection: Selection, left_out: tuple[str, ...]
+) -> Publishers:
+    """A publisher for each topic that is meant, with the quality of service that was recorded.
 
-    RecordingError if a chosen topic isn't in the bag or its type isn't installed; otherwise such a type is
+    RecordingError if a topic that is named isn't in the bag or its type isn't installed; what isn't named is
     only warned about.
     """
     counts = {topic.name: topic.count for topic in bag.topics}
-    missing = [name for name in chosen if name not in counts]
+    missing = [name for name in selection.names if name not in counts]
     if missing:
         there = ", ".join(sorted(counts)) or "none"
         raise RecordingError(f"{bag.path}: no topic {', '.join(missing)}; there are: {there}")
     publishers: Publishers = {}
     for channel in bag.channels:
-        if (chosen and channel.name not in chosen) or channel.name in left_out or channel.name in publishers:
+        name = channel.name
+        if name in left_out or name in publishers or not selection.means(name, [channel.type]):
             continue
         try:
             kind = message_class(channel.type)
         except RecordingError as error:
-            if chosen:
+            if name in selection.names:
                 raise
-            node.get_logger().warning(f"{channel.name} is not played: {error}")
+            node.get_logger().warning(f"{name} is not played: {error}")
             continue
-        profile = offered_profile(channel.qos, counts[channel.name])
-        publishers[channel.name] = node.create_publisher(kind, channel.name, profile)
+        profile = offered_profile(channel.qos, counts[name])
+        publishers[name] = node.create_publisher(kind, name, profile, qos_overriding_options=OVERRIDABLE)
     return publishers
 
 
@@ -67,9 +71,9 @@ def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, 
         time.sleep(0.01)
 
 
-def records_from(bag: BagReader, topics: Collection[str], start_ns: int) -> Iterator[Record]:
+def records_from(bag: BagReader, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Record]:
     """Messages from a time on, after those of latched topics from before it: what a late joiner would get."""
     channels = [channel for channel in bag.channels if channel.name in topics]
     latched = {c.name for c in channels if any(qos.durability == "transient_local" for qos in c.qos)}
     yield from bag.records(latched, stop_ns=start_ns)
-    yield from bag.records(topics, start_ns=start_ns)
+    yield from bag.records(topics, start_ns=start_ns, stop_ns=stop_ns)

@@ -21,7 +21,7 @@ from tms_bag.nodes.recorder_settings import declare_recorder_settings
 from tms_bag.nodes.stamping import SimulatedStamps, WallStamps
 from tms_bag.recent import RecentRecords
 from tms_bag.record import Record
-from tms_bag.remarks import closing_words, recording_remarks
+from tms_bag.remarks import closing_words, disk_words, recording_remarks
 from tms_bag.writer import BagWriter
 
 LOOK_PERIOD = 0.1  # [s] how soon a new topic is found
@@ -63,11 +63,7 @@ class Recorder(Node):
                 self._drain_all()
                 self._bag.flush_when_due()
         except OSError as error:
-            path = self._writer.path
-            raise OSError(
-                f"{path}: can't be written any further ({error.strerror}); `tms bag repair {path}` makes a clean"
-                " bag of what is there"
-            ) from error
+            raise OSError(disk_words(self._writer.path, error)) from error
 
     def close(self) -> None:
         """Take what has arrived, close the bag and say what is in it."""

@@ -32,7 +32,7 @@ class RecorderSettings:
 def declare_recorder_settings(node: Node) -> RecorderSettings:
     """Declare the parameters. ParameterError or RecordingError if one doesn't fit, or isn't known."""
     output = declare(node, "output", "", "bag (a folder) to write; empty: bag_ and the time, in this folder")
-    size = declare(node, "max_size", 0, "go on in another file at this size [bytes]; 0: never", 0, 2**62)
+    size = declare(node, "max_size", 0, "go on in another file at this size [bytes]; 0: never", 0, 10**15)
     duration = declare(
         node, "max_duration", 0.0, "go on in another file after this time [s]; 0: never", 0.0, 1e9
     )
@@ -47,8 +47,7 @@ def declare_recorder_settings(node: Node) -> RecorderSettings:
         snapshot=declare(
             node, "snapshot", 0.0, "keep only the last seconds, until ~/snapshot [s]; 0: off", 0.0, 86400.0
         ),
-        snapshot_memory=declare(node, "snapshot_memory", 256, "memory that these may take [MiB]", 1, 2**20)
-        * 2**20,
+        snapshot_memory=declare(node, "snapshot_memory", 256, "memory for these [MiB]", 1, 1_000_000) * 2**20,
         start_paused=declare(node, "start_paused", False, "record nothing before ~/resume"),
         history=declare(
             node, "history", 5000, "messages of a topic that may wait for the disk", 1, 1_000_000

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 import time
-from functools import partial
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from tms_bag import topics
 from tms_bag.nodes.diagnostics import Report, report_every_second
-from tms_bag.nodes.interfaces import message_class
+from tms_bag.nodes.handled import HandledReport
+from tms_bag.nodes.interfaces import OVERRIDABLE, message_class
+from tms_bag.nodes.ordered_intake import OrderedIntake
 from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
@@ -58,19 +60,25 @@ class Estimator(Node):
         self._idle = declare(
             self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0
         )
-        refuse_unknown_parameters(self)
         self._fit = LiveFit(settings, bicycle)
         self._last = time.monotonic()
         # Estimates are few and must not be missed by who comes late; filter states are a stream like any
         # sensor's.
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._outputs = {
-            f"/{ESTIMATE}": self.create_publisher(message_class(ESTIMATE_TYPE), ESTIMATE, latched),
-            f"/{FILTER_STATE}": self.create_publisher(message_class(FILTER_STATE_TYPE), FILTER_STATE, 100),
+        offered = {
+            ESTIMATE: (ESTIMATE_TYPE, latched),
+            FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=100)),
         }
-        for topic in INPUTS:
-            self._listen(topic)
-        self.create_timer(0.2, self._finish_when_idle)
+        self._outputs = {
+            f"/{topic}": self.create_publisher(
+                message_class(kind), topic, profile, qos_overriding_options=OVERRIDABLE
+            )
+            for topic, (kind, profile) in offered.items()
+        }
+        refuse_unknown_parameters(self)
+        self._handled = HandledReport(self, INPUTS)
+        self._intake = OrderedIntake(self, {topic: _wanted(topic) for topic in INPUTS}, self._take)
+        self.create_timer(0.2, self._finish_when_idle, clock=Clock(clock_type=ClockType.STEADY_TIME))
         report_every_second(self, self._report)
         self.get_logger().info("estimator ready")
 
@@ -82,19 +90,10 @@ class Estimator(Node):
         """Say what came."""
         print(f"estimator: {dict(self._fit.counts)}", file=sys.stderr)
 
-    def _listen(self, topic: str) -> None:
-        latched = topic == topics.RUN_INFO
-        profile = QoSProfile(
-            depth=10 if latched else DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        kind = message_class(topics.TYPES[topic])
-        self.create_subscription(kind, topic, partial(self._take, topic), profile, raw=True)
-
     def _take(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()
         self._publish(self._fit.take(topic, data))
+        self._handled.add(topic)
 
     def _finish_when_idle(self) -> None:
         if time.monotonic() - self._last > self._idle:
@@ -112,7 +111,18 @@ class Estimator(Node):
             if waiting
             else f"bicycle {self._fit.bicycle}"
         )
-        return text, not waiting, dict(self._fit.counts)
+        lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
+        return text, not waiting and not lost, {**self._fit.counts, **lost}
+
+
+def _wanted(topic: str) -> tuple[str, QoSProfile]:
+    """Type of a topic, and what is asked of its publishers as long as nobody publishes."""
+    latched = topic == topics.RUN_INFO
+    profile = QoSProfile(
+        depth=10 if latched else DEPTH,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+    return topics.TYPES[topic], profile
 
 
 def main(args: list[str] | None = None) -> int:

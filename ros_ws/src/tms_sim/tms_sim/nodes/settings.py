@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rclpy.node import Node
-from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
+from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
 from tms_sim.keys import KEYS
@@ -47,7 +47,6 @@ def declare_settings(node: Node) -> Settings:
         ),
         wait_timeout=declare(node, "wait_timeout", 30.0, "longest wait for subscribers [s]", 0.0, 3600.0),
     )
-    refuse_unknown_parameters(node)
     if settings.own_clock:
         return settings
     start = {"start_time_ns": node.get_clock().now().nanoseconds}

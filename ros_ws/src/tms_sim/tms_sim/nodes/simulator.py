@@ -14,7 +14,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from tms_bag import Record, RecordingError, topics
 from tms_bag.nodes.diagnostics import Report, report_every_second
-from tms_bag.nodes.interfaces import clock_message, message_class, offered_profile
+from tms_bag.nodes.interfaces import OVERRIDABLE, clock_message, message_class, offered_profile
+from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
 from tms_sim.live_run import LiveRun
@@ -43,11 +44,13 @@ class Simulator(Node):
                 message_class(record.type),
                 record.topic.removeprefix("/"),
                 offered_profile([topics.QOS[record.topic.removeprefix("/")]], 1),
+                qos_overriding_options=OVERRIDABLE,
             )
             for record in {record.topic: record for record in self._live.records}.values()
         }
         self._display: Display | None = make_display(self, self._live.run)
         self._controls = Controls(self, self._live, self._settings.autostart, self._changed)
+        refuse_unknown_parameters(self)
         report_every_second(self, self._report)
         self._warn_of_fall()
 

@@ -1,0 +1,112 @@
+"""How many messages a node has handled: said by the node, and heard by a player that loses nothing."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tms_msgs.msg import Handled
+
+from tms_bag.errors import RecordingError
+
+PERIOD = 0.05  # [s] at the latest
+EVERY = 20  # [messages] so many may be handled before it is said
+LATEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class HandledReport:
+    """Says on `~/handled` what has been handled: every 20 messages, and 50 ms after the last."""
+
+    def __init__(self, node: Node, topics: Sequence[str]) -> None:
+        self._node = node
+        self._counts = {node.resolve_topic_name(topic): 0 for topic in topics}
+        self._names = {topic: node.resolve_topic_name(topic) for topic in topics}
+        self._unsaid = 0
+        self._publisher = node.create_publisher(Handled, "~/handled", LATEST)
+        self._say()
+        node.create_timer(PERIOD, self._say_when_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def add(self, topic: str) -> None:
+        """A message of a topic has been handled."""
+        self._counts[self._names[topic]] += 1
+        self._unsaid += 1
+        if self._unsaid >= EVERY:
+            self._say()
+
+    def _say_when_due(self) -> None:
+        if self._unsaid:
+            self._say()
+
+    def _say(self) -> None:
+        message = Handled(node=self._node.get_fully_qualified_name())
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.topics, message.counts = list(self._counts), list(self._counts.values())
+        self._publisher.publish(message)
+        self._unsaid = 0
+
+
+class Window:
+    """Lets only so many messages be under way to the nodes that report on `topics`."""
+
+    def __init__(self, node: Node, topics: Sequence[str], size: int, patience: float) -> None:
+        self._size, self._patience, self._topics = size, patience, list(topics)
+        self._handled: dict[str, Counter[str]] = {}  # by reporting topic
+        self._before: dict[str, Counter[str]] = {}  # when the replay began
+        self._sent: Counter[str] = Counter()
+        for topic in topics:
+            node.create_subscription(Handled, topic, self._hearer(topic), LATEST)
+
+    def begin(self, between: Any) -> None:
+        """Wait until every node has reported. RecordingError after the patience [s]."""
+        self._wait(lambda: len(self._handled) == len(self._topics), between)
+        self._before = {topic: Counter(counts) for topic, counts in self._handled.items()}
+
+    def count(self, topic: str) -> None:
+        """A message has been sent."""
+        self._sent[topic] += 1
+
+    def wait_for_room(self, topic: str, between: Any) -> None:
+        """Wait until another message of the topic may be sent."""
+        self._wait(lambda: self._under_way(topic) < self._size, between)
+
+    def wait_for_all(self, between: Any) -> None:
+        """Wait until everything that was sent has been handled."""
+        self._wait(lambda: not any(self._under_way(topic) for topic in self._sent), between)
+
+    def _under_way(self, topic: str) -> int:
+        """Messages that the slowest of the nodes that want the topic has not handled."""
+        open_ = [
+            self._sent[topic] - counts[topic] + self._before[reporter][topic]
+            for reporter, counts in self._handled.items()
+            if topic in counts
+        ]
+        return max(open_, default=0)
+
+    def _wait(self, condition: Any, between: Any) -> None:
+        deadline, progress = time.monotonic() + self._patience, self._progress()
+        while not condition():
+            between()
+            if self._progress() != progress:
+                deadline, progress = time.monotonic() + self._patience, self._progress()
+            if time.monotonic() > deadline:
+                open_ = {topic: n for topic in self._sent if (n := self._under_way(topic))}
+                raise RecordingError(
+                    f"expected {', '.join(self._topics)} to say what has been handled, found nothing new for"
+                    f" {self._patience:g} s (under way: {open_ or 'nothing'}); is the consumer running?"
+                )
+            time.sleep(0.0005)
+
+    def _progress(self) -> int:
+        return sum(sum(counts.values()) for counts in self._handled.values())
+
+    def _hearer(self, reporter: str) -> Any:
+        def hear(message: Handled) -> None:
+            counts: Mapping[str, int] = dict(zip(message.topics, message.counts, strict=False))
+            self._handled[reporter] = Counter(counts)
+
+        return hear

@@ -1,0 +1,116 @@
+"""The player told what to do while it plays, and a replay that loses nothing however fast."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Empty, Trigger
+from tms_bag.nodes.interfaces import message_class
+from tms_msgs.srv import Seek, SetRate
+
+SPEED, IMU = "/bicycle/speed", "/imu/data_raw"
+
+
+def listen(participant: Any, topic: str, kind: str) -> list[bytes]:
+    arrived: list[bytes] = []
+    participant.create_subscription(
+        message_class(kind), topic, arrived.append, QoSProfile(depth=5000), raw=True
+    )
+    return arrived
+
+
+def call(participant: Any, kind: Any, name: str, **fields: Any) -> Any:
+    client = participant.create_client(kind, f"/player/{name}")
+    participant.spin_until(client.service_is_ready, f"{name} is there")
+    future = client.call_async(kind.Request(**fields))
+    participant.spin_until(future.done, f"{name} answers")
+    return future.result()
+
+
+def of(records: list[Any], topic: str) -> list[Any]:
+    return [record for record in records if record.topic == topic]
+
+
+def start(nodes: Any, bag: Path, *parameters: str) -> Any:
+    words = [word for parameter in parameters for word in ("-p", parameter)]
+    return nodes.start("tms_bag", "player", "-p", f"bag:={json.dumps(str(bag))}", *words)
+
+
+def test_told_by_services(nodes: Any, participant: Any, bag: Path, records: list[Any]) -> None:
+    arrived = listen(participant, SPEED, "geometry_msgs/msg/TwistStamped")
+    speeds = of(records, SPEED)
+    player = start(nodes, bag, "start_paused:=true", "wait_for_subscriptions:=1", f"topics:=[{SPEED}]")
+    nodes.wait_for("player", "playing")
+    assert call(participant, Trigger, "is_paused").success
+    for number in (1, 2, 3):  # one at a time
+        assert call(participant, Trigger, "play_next").success
+        participant.spin_until(lambda n=number: len(arrived) == n, "one more")
+    middle = speeds[12].time_ns
+    where = Time(sec=middle // 10**9, nanosec=middle % 10**9)
+    assert call(participant, Seek, "seek", time=where).success
+    assert not call(participant, Seek, "seek", time=Time(sec=5)).success
+    assert call(participant, Trigger, "play_next").success
+    participant.spin_until(lambda: len(arrived) == 4, "the one in the middle")
+    assert not call(participant, SetRate, "set_rate", rate=-1.0).success
+    assert call(participant, SetRate, "set_rate", rate=5.0).success
+    assert call(participant, Trigger, "get_rate").message == "5"
+    call(participant, Empty, "toggle_paused")
+    nodes.finish(player)
+    expected = speeds[:3] + speeds[12:]
+    participant.spin_until(lambda: len(arrived) == len(expected), "the rest")
+    assert arrived == [record.data for record in expected]
+
+
+def test_one_that_plays_takes_no_steps(nodes: Any, participant: Any, bag: Path) -> None:
+    player = start(nodes, bag, "rate:=0.05")
+    answer = call(participant, Trigger, "play_next")
+    assert not answer.success
+    assert "call ~/pause first" in answer.message
+    call(participant, Empty, "pause")
+    assert call(participant, Trigger, "is_paused").success
+    call(participant, Empty, "resume")
+    assert not call(participant, Trigger, "is_paused").success
+    nodes.stop(player)
+
+
+def test_a_part_of_the_bag_by_other_names_and_quality(
+    nodes: Any, participant: Any, bag: Path, records: list[Any]
+) -> None:
+    arrived = listen(participant, "/mine", "sensor_msgs/msg/Imu")
+    arguments = ["start_offset:=0.5", "duration:=1.0", "regex:=imu", "wait_for_subscriptions:=1", "rate:=4.0"]
+    override = "qos_overrides./mine.publisher.reliability:=reliable"
+    words = [word for argument in [*arguments, override] for word in ("-p", argument)]
+    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", *words, "-r", f"{IMU}:=/mine")
+    first = records[0].time_ns
+    expected = [r.data for r in of(records, IMU) if 0.5 <= (r.time_ns - first) / 1e9 <= 1.5]
+    participant.spin_until(lambda: len(arrived) >= len(expected), "one second of it")
+    nodes.finish(player)
+    assert arrived == expected
+    assert f"{len(expected)} messages played" in nodes.log("player").read_text()
+
+
+def test_overridden_quality_is_what_is_offered(nodes: Any, participant: Any, bag: Path) -> None:
+    name = f"qos_overrides.{IMU}.publisher.reliability"
+    player = start(nodes, bag, f"{name}:=best_effort", "start_paused:=true")
+    participant.spin_until(lambda: participant.get_publishers_info_by_topic(IMU), "the player is there")
+    (info,) = participant.get_publishers_info_by_topic(IMU)
+    assert info.qos_profile.reliability.name == "BEST_EFFORT"
+    nodes.wait_for("player", "playing")
+    nodes.stop(player)
+
+
+def test_an_override_of_a_topic_that_is_not_played_is_refused(nodes: Any, bag: Path) -> None:
+    player = start(nodes, bag, "qos_overrides./nope.publisher.reliability:=best_effort")
+    nodes.finish(player, 2)
+    assert "unknown parameter qos_overrides./nope" in nodes.log("player").read_text()
+
+
+def test_without_its_consumer_a_lossless_replay_gives_up(nodes: Any, bag: Path) -> None:
+    player = start(nodes, bag, "lossless:=true", "wait_timeout:=0.2")
+    nodes.finish(player, 2)
+    lines = nodes.log("player").read_text().splitlines()
+    assert any("expected /estimator/handled to say what has been handled" in line for line in lines)

@@ -1,0 +1,116 @@
+"""`sim run --blind`: nothing of the truth is in the bag, all of it is in the file beside it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tms_bag import BagReader, read_recording
+from tms_sim.blind import KNOWN
+from tms_sim.keys import KEYS
+from tms_sim.run import simulate
+from tms_sim.scenario import load_scenario
+
+# Numbers that can't be there by chance, for what an experimenter doesn't know.
+HIDDEN: dict[str, Any] = {
+    "strike.time": 3.5123456789,
+    "strike.lean_rate": 0.1534567891,
+    "strike.x": 0.8123456789,
+    "speed_at_strike": 3.4567891234,
+    "asymmetry.rear_frame": 0.000123456789,
+    "shimmy.frequency": 19.123456789,
+    "catch.lean_deg": 19.87654321,
+    "seed": 918273645,
+}
+SETTINGS = [word for key, value in HIDDEN.items() for word in ("--set", f"{key}={value}")]
+
+
+@pytest.fixture
+def bag(command: Any, tmp_path: Path) -> Path:
+    path = tmp_path / "run"
+    done = command("tms_sim", "run", "gym_run", "-o", path, "--blind", *SETTINGS)
+    assert (done.code, done.out, done.err) == (0, "", "")
+    return path
+
+
+def every_byte(bag: Path) -> bytes:
+    """The files as they are, and all that is packed in them."""
+    with BagReader(bag) as reader:
+        packed = [record.data + record.topic.encode() for record in reader.records()]
+        packed += [json.dumps(reader.custom_data).encode()]
+    return b"\n".join([path.read_bytes() for path in sorted(bag.iterdir())] + packed)
+
+
+def test_no_byte_of_the_truth_is_left(bag: Path) -> None:
+    with BagReader(bag) as reader:  # the definition of run_info names the topic bicycle/state in a comment
+        assert not {"/bicycle/state", "/bicycle/events"} & {topic.name for topic in reader.topics}
+    content = every_byte(bag)
+    for word in ("gym_run", "bicycle/events", "BicycleState", "tms_msgs/msg/Event", "shimmy",
+                 "steer_kick", "effects", "strike", "caught", "ended_by"):  # fmt: skip
+        assert word.encode() not in content, word
+    for key, value in HIDDEN.items():
+        assert str(value).encode() not in content, key
+        packed = struct.pack("<q", value) if isinstance(value, int) else struct.pack("<d", value)
+        assert packed not in content, key
+
+
+def test_no_true_angle_rate_or_place_is_left(bag: Path) -> None:
+    content = every_byte(bag)
+    run = simulate(load_scenario("gym_run", HIDDEN), np.random.default_rng(HIDDEN["seed"]))
+    rows = np.arange(250, len(run.state.time_ns) - 60, 50)
+    state = run.state
+    hidden = [state.state[:, 1], state.state[:, 2], state.yaw, state.speed, state.yaw_rate]
+    for values in (*(column[rows] for column in hidden), state.front_contact[rows, 1]):
+        for value in values.tolist():
+            assert struct.pack("<d", value) not in content
+
+
+def test_truth_beside_the_bag_is_whole(bag: Path) -> None:
+    document = json.loads(bag.with_name("run.truth.json").read_text())
+    run = simulate(load_scenario("gym_run", HIDDEN), np.random.default_rng(HIDDEN["seed"]))
+    assert document["scenario"] == "gym_run"
+    assert document["seed"] == HIDDEN["seed"]
+    assert set(document["configuration"]) == set(KEYS)
+    assert all(document["configuration"][key] == value for key, value in HIDDEN.items())
+    assert [event["kind"] for event in document["events"]] == [event.kind for event in run.events]
+    np.testing.assert_array_equal(document["state"]["steer_rate"], run.state.state[:, 3])
+    np.testing.assert_array_equal(document["state"]["rear_contact"], run.state.rear_contact)
+    np.testing.assert_array_equal(document["state"]["phase"], run.state.phase)
+    assert not list(bag.parent.glob("*.part"))
+
+
+def test_what_the_sensors_say_is_the_same(bag: Path, command: Any, tmp_path: Path) -> None:
+    command("tms_sim", "run", "gym_run", "-o", tmp_path / "seen", *SETTINGS)
+    blind, seen = read_recording(bag), read_recording(tmp_path / "seen")
+    np.testing.assert_array_equal(blind.imu.angular_velocity, seen.imu.angular_velocity)
+    np.testing.assert_array_equal(blind.imu.specific_force, seen.imu.specific_force)
+    assert blind.state is None
+    assert seen.state is not None
+    assert blind.run_info is not None
+    assert seen.run_info is not None
+    assert blind.run_info.parameters == seen.run_info.parameters  # of the bicycle as it was built
+    np.testing.assert_array_equal(blind.run_info.imu_position, seen.run_info.imu_position)
+    assert blind.run_info.seed == -1
+    assert np.isnan(blind.run_info.speed)
+    assert set(blind.custom_data) == {"configuration", "source", "version"}
+
+
+def test_what_is_known_are_keys_that_say_nothing_of_the_motion() -> None:
+    assert set(KNOWN) <= set(KEYS)
+    assert not any(key.startswith(("strike", "effects", "shimmy", "asymmetry", "release")) for key in KNOWN)
+
+
+def test_an_old_truth_is_not_left_beside_a_new_bag(bag: Path, command: Any, refused: Any) -> None:
+    truth = bag.with_name("run.truth.json")
+    assert "exists already" in refused("tms_sim", "run", "gym_run", "-o", bag, "--blind")
+    moved = bag.rename(bag.with_name("other"))
+    assert "run.truth.json: exists already" in refused("tms_sim", "run", "gym_run", "-o", bag)
+    assert truth.exists()
+    assert not bag.exists()
+    moved.rename(bag)
+    assert command("tms_sim", "run", "gym_run", "-o", bag, "--force").code == 0
+    assert not truth.exists()
