@@ -11,6 +11,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from tms_bag import BagWriter, RecordingError, read_recording
+from tms_fit.comparison import comparison
+from tms_fit.estimators import ESTIMATORS
 from tms_fit.figure3b import figure_3b
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import FitSettings
@@ -110,6 +112,25 @@ def test_absent_channel_is_said(fitted: Any) -> None:
     assert [text.get_text() for text in lower.texts] == ["not measured in this recording"]
     assert len(curve(lower, "predicted")[1]) > 100
     assert set(lean.strikes[0].estimates[0].vaf) == {"lean_rate"}
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("scenario", ["tms_strike", "gym_run"])
+def test_what_is_shown_is_what_was_fitted(
+    make_run: Any, tmp_path: Path, estimator: str, scenario: str
+) -> None:
+    # som2011, which takes a constant speed and one channel, as much as the others.
+    run = make_run(scenario, strike__time=3.0, duration=6.0)
+    with BagWriter(tmp_path / "bag") as bag:
+        for record in run.records():
+            bag.write(record)
+    recording = read_recording(tmp_path / "bag")
+    both = comparison(
+        fit_recording(recording, bicycle_of(recording, None), FitSettings(estimators=(estimator,)))
+    )
+    count = len(both.estimate.predicted)
+    assert count > 100
+    np.testing.assert_allclose(both.predicted[:count], both.estimate.predicted, atol=1e-9)
 
 
 def test_strikes_are_counted_from_one(fitted: Any) -> None:

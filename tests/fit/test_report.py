@@ -223,6 +223,24 @@ def test_what_is_not_there_is_not_drawn(run: SimulatedRun, report: Any, tmp_path
     assert set(data["series"]["yaw_rate"]) == {None}
 
 
+@pytest.mark.parametrize(
+    ("words", "channel"),
+    [(("--estimator", "som2011"), "lean_rate"), (("--channels", "yaw_rate"), "yaw_rate")],
+)
+def test_residuals_are_those_of_the_channels_used(report: Any, bag: Path, words: Any, channel: str) -> None:
+    data = report(bag, *words).data["data"]["strike-1"]
+    assert {name for name in data if name.startswith("histogram")} == {f"histogram_{channel}"}
+    assert set(data["spectrum"]["channel"]) == set(data["autocorrelation"]["channel"]) == {channel}
+
+
+def test_a_prediction_that_runs_away_is_not_drawn(report: Any, bag: Path) -> None:
+    data = report(bag, "--fix", "speed=0.3").data["data"]["strike-1"]["series"]
+    largest = max(abs(one) for one in data["lean_rate"] if one is not None)
+    predicted = [one for one in data["lean_rate_predicted"] if one is not None]
+    assert len(predicted) > 100
+    assert max(map(abs, predicted)) < 4 * largest
+
+
 def test_simulated_runs_are_compared_with_the_truth(report: Any, bag: Path, run: SimulatedRun) -> None:
     page = report(bag)
     assert "Against the truth" in page.text

@@ -13,6 +13,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.offline import RecordingFit, orientation_of
 from tms_fit.online import StrikeFit
 from tms_fit.prediction import predict_by
+from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window, make_window
 
 BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response
@@ -60,7 +61,8 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
         raise RecordingError(
             f"{fit.recording.path}: strike {number} has no estimate: {strike.estimates[0].message}"
         )
-    shown = _foreseeable(_shown_window(fit, number, strike.window), strike.window, estimate)
+    used = _as_assumed(strike.window, estimate)
+    shown = _foreseeable(_shown_window(fit, number, used), used, estimate)
     predicted, slopes = predict_by(shown, estimate)
     # Student's t, as in the interval of the estimate.
     std = np.sqrt(np.einsum("nci,ij,ncj->nc", slopes, estimate.covariance, slopes))
@@ -68,7 +70,7 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
     return Comparison(
         strike=strike,
         estimate=estimate,
-        used=strike.window,
+        used=used,
         shown=shown,
         time=shown.time + shown.delay,
         measured=shown.measured,
@@ -106,6 +108,13 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
         torque_r2=used.torque_r2,
         delay=used.delay,
     )
+
+
+def _as_assumed(window: Window, estimate: Estimate) -> Window:
+    """The window with the speed that the estimator assumed: som2011 takes a constant one, whatever it was."""
+    if estimate.settings is None or estimate.settings.speed_model != "constant":
+        return window
+    return replace(window, speed=constant_speed(estimate.complete["speed"], window.speed.std))
 
 
 def _foreseeable(shown: Window, used: Window, estimate: Estimate) -> Window:

@@ -23,6 +23,7 @@ from tms_fit.settings import CHANNELS
 SLIDING = 1e-6  # [m/s] lateral speed of a contact from which on it is said to slip
 HIGHEST_SPEED = 10.0  # [m/s] of the eigenvalues' axis, or more when the run was faster
 CURVES = 121  # speeds of the eigenvalues' curves
+RUNAWAY = 3.0  # times the largest measured rate of a channel: predictions beyond it are not drawn
 NORMAL = 61  # points of the normal curve
 
 
@@ -38,6 +39,9 @@ def series(both: Comparison) -> Columns:
     measured = np.concatenate([both.before, both.measured])
     predicted = np.concatenate([nothing, both.predicted])
     half = np.concatenate([nothing, both.half])
+    # A prediction that runs away would make everything else a flat line.
+    largest = np.fmax.reduce(np.abs(measured), axis=0)
+    predicted[np.abs(predicted) > RUNAWAY * np.where(np.isfinite(largest), largest, np.inf)] = np.nan
     columns: Columns = {"time": column(time)}
     for channel, name in enumerate(CHANNELS):
         columns[name] = column(measured[:, channel])

@@ -59,6 +59,8 @@ def _agreement(fit: RecordingFit, strike: StrikeFit, estimate: Estimate) -> list
     assert strike.window is not None
     shares = [
         f"{fixed(100.0 * value, 1)} % of the {channel.replace('_', ' ')}'s variance"
+        if value > 0.0
+        else f"nothing of the {channel.replace('_', ' ')}'s variance (VAF {fixed(100.0 * value, 1)} %)"
         for channel, value in estimate.vaf.items()
     ]
     if not shares:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from tms_model import stability
+from tms_model.bicycle import Array
 
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
 from tms_fit.motion import motion
@@ -54,9 +55,7 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
 
 
 def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dict[str, Columns]]:
-    present = tuple(
-        name for name, values in zip(CHANNELS, both.used.measured.T, strict=True) if np.isfinite(values).any()
-    )
+    present, compared = _with_values(both.used.measured), _with_values(both.estimate.residual)
     data = {
         "series": datasets.series(both),
         "window": datasets.window(both),
@@ -73,7 +72,7 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     charts = (
         rates_chart(source_of(fit), "yaw_rate" in present, state is not None, with_slip),
         speed,
-        *_residual_charts(both, present, data),
+        *_residual_charts(both, compared, data),
         nis_chart(share_inside(data["nis"])),
         eigenvalue,
     )
@@ -103,6 +102,11 @@ def _residual_charts(
 def _gain(both: Comparison) -> float:
     """Lean-rate feedback on the steer torque [N m s/rad], found or known."""
     return both.estimate.complete.get("lean_rate_gain", both.used.lean_rate_gain)
+
+
+def _with_values(columns: Array) -> tuple[str, ...]:
+    """Names of the channels, columns of (n, 2), that hold any number."""
+    return tuple(name for name, values in zip(CHANNELS, columns.T, strict=True) if np.isfinite(values).any())
 
 
 def _speed(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:

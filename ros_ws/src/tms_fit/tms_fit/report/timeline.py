@@ -44,7 +44,7 @@ def timeline(fit: RecordingFit) -> Section:
     return Section(
         "recording",
         "The recording",
-        (_words(fit, gaps, lost),),
+        (_words(fit, gaps, lost), *(element("p", text, class_="caution") for text in fit.recording.warnings)),
         (timeline_chart(kinds, fit.recording.state is not None),),
         data=data,
     )
