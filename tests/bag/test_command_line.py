@@ -44,7 +44,15 @@ def test_import_says_what_it_did_and_info_shows_it(command, log, tmp_path):
     bag = tmp_path / "bag"
     answer = command(BAG, "import-csv", log, "--mapping", "delft_sbw", "-o", bag)
     assert answer.code == 0
-    assert answer.out == f"{bag}: 3 rows of lean, lean_rate, speed, steer_torque, specific_force_y\n"
+    first, *topics = answer.out.splitlines()
+    assert first == f"{bag}: 3 rows of lean, lean_rate, speed, steer_torque, specific_force_y"
+    assert [line.split() for line in topics] == [
+        ["/bicycle/speed", "3"],
+        ["/bicycle/steer_torque", "3"],
+        ["/imu/data_raw", "3"],
+        ["/imu/lean_yaw", "3"],
+        ["/run_info", "1"],
+    ]
     metadata = json.loads(command(BAG, "info", bag, "--json").out)["metadata"]
     assert set(metadata) == {"configuration", "seed", "version", "source_sha256", "complete", "start_ns"}
 
@@ -54,7 +62,24 @@ def test_import_with_another_column_without_one_and_with_rows_skipped(command, l
     flags = ["--column", "lean_rate=roll_rate", "--missing", "skip", "--bicycle", "benchmark"]
     flags += [word for name in ("lean", "steer_torque", "specific_force_y") for word in ("--without", name)]
     answer = command(BAG, "import-csv", log, "--mapping", "delft_sbw", "-o", tmp_path / "bag", *flags)
-    assert answer.out.endswith(": 2 rows of lean_rate, speed, 1 rows with empty or NaN cells left out\n")
+    assert ": 3 rows of lean_rate, speed\n  empty or NaN cells left out: 1 of lean_rate\n" in answer.out
+    assert [line.split() for line in answer.out.splitlines()[2:4]] == [
+        ["/bicycle/speed", "3"],
+        ["/imu/data_raw", "2"],
+    ]
+
+
+def test_import_as_json(command, log, tmp_path):
+    log.write_text(CSV.replace(",", ";") + "\n\n0;0.1;;3.0;1.0;-1\n")
+    flags = ["--mapping", "delft_sbw", "-o", tmp_path / "bag", "--missing", "skip", "--json"]
+    document = json.loads(command(BAG, "import-csv", log, *flags).out)
+    assert document["rows"] == 4
+    assert document["delimiter"] == ";"
+    assert document["blank_lines"] == 2
+    assert document["missing"] == {"lean_rate": 1}
+    assert document["duration"] == pytest.approx(0.05)  # the blank lines may stand for lost rows
+    assert {"name": "/bicycle/speed", "count": 4} in document["topics"]
+    assert {"name": "/imu/data_raw", "count": 4} in document["topics"]  # its other columns are there
 
 
 def test_a_bag_is_replaced_only_with_force(command, refused, log, bag):

@@ -29,6 +29,7 @@ MAPPING = {
     },
 }
 ROWS = ["0.00,90,180,0.5,36,2,1,3,-9.8,start", "0.02,-90,-180,-0.5,18,-2,-1,-3,-9.8,?"]
+LEAN_RATE = {"column": "r", "unit": "rad/s", "frame": "sae"}
 
 
 def mapping(tmp_path: Path, changes: dict | None = None):
@@ -180,17 +181,107 @@ def test_a_missing_value_is_an_error_that_names_the_remedy(tmp_path, cell):
         read_csv(log(tmp_path, rows), mapping(tmp_path))
 
 
-def test_rows_with_missing_values_can_be_skipped_without_moving_the_others(tmp_path):
+def test_rows_with_missing_values_do_not_move_the_others(tmp_path):
     rows = [ROWS[0], "0.02,,1,0,1,0,0,0,0,", "", "0.06,1", ROWS[1], "", ""]
     found = read_csv(log(tmp_path, rows), mapping(tmp_path, {"missing": "skip"}))
-    assert found.skipped == 3
-    assert ((found.time_ns - found.time_ns[0]) // 20_000_000).tolist() == [0, 4]
-    assert found.columns["yaw_rate"].tolist() == [0.5, -0.5]
+    assert found.blank_lines == 1
+    assert found.missing["lean"] == 1
+    assert found.missing["yaw_rate"] == 1
+    assert ((found.time_ns - found.time_ns[0]) // 20_000_000).tolist() == [0, 1, 3, 4]
+    assert np.array_equal(found.columns["yaw_rate"], [0.5, 0.0, np.nan, -0.5], equal_nan=True)
+
+
+def test_a_sparse_column_does_not_thin_the_others(tmp_path):
+    """A speed every fifth row, a torque every third, an IMU in all but one."""
+    lines = [
+        f"{n / 10},{n / 4 if n % 5 == 0 else ''},{n if n % 3 == 0 else ''}" if n != 7 else ",,7"
+        for n in range(30)
+    ]
+    path = log(tmp_path, lines, "r,v,torque")
+    mine = mapping(
+        tmp_path,
+        {
+            "missing": "skip",
+            "columns": {
+                "lean_rate": LEAN_RATE,
+                "speed": {"column": "v", "unit": "m/s"},
+                "steer_torque": {"column": "torque", "unit": "N m", "frame": "sae"},
+            },
+        },
+    )
+    done = import_csv(path, mine, tmp_path / "bag")
+    assert done.log.missing == {"lean_rate": 1, "speed": 24, "steer_torque": 19}
+    recording = read_recording(tmp_path / "bag")
+    assert recording.imu.angular_velocity[:, 0].tolist() == [n / 10 for n in range(30) if n != 7]
+    assert recording.speed.speed.tolist() == [n / 4 for n in range(0, 30, 5)]
+    assert ((recording.speed.time_ns - recording.imu.time_ns[0]) // 20_000_000).tolist() == [*range(0, 30, 5)]
+    assert recording.steer_torque.steer_torque.size == 11
+    assert recording.run_info.speed == 3.125  # the median of those there are
+
+
+def test_blank_lines_without_a_time_column_are_told(tmp_path):
+    path = log(tmp_path, ["1,2", "", "3,4"], "r,v")
+    columns = {"lean_rate": LEAN_RATE, "speed": {"column": "v", "unit": "m/s"}}
+    with pytest.raises(RecordingError, match=r"1 blank lines \(first in line 3\).*--missing skip"):
+        read_csv(path, mapping(tmp_path, {"columns": columns}))
+    timed = {"rate": None, "time": {"column": "v", "unit": "s", "zero": "first_row"}, "columns": columns}
+    found = read_csv(path, mapping(tmp_path, timed))
+    assert (found.time_ns.size, found.blank_lines) == (2, 1)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+def test_the_delimiter_is_found_by_the_names_of_the_columns(tmp_path, delimiter):
+    names = ["r", "a;b" if delimiter == "," else "a,b", "v"]
+    path = log(tmp_path, [delimiter.join("123")] * 3, delimiter.join(names))
+    columns = {"lean_rate": LEAN_RATE, "speed": {"column": "v", "unit": "m/s"}}
+    found = read_csv(path, mapping(tmp_path, {"columns": columns}))
+    assert found.delimiter == delimiter
+    assert found.columns["speed"].tolist() == [3.0] * 3
+
+
+def test_a_decimal_comma_is_advised_and_then_read(tmp_path):
+    path = log(tmp_path, ["0,0;1,5;2", "0,01;-,5e1;3,25"], "t;r;v")
+    columns = {"lean_rate": LEAN_RATE, "speed": {"column": "v", "unit": "m/s"}}
+    timed = {"rate": None, "time": {"column": "t", "unit": "s", "zero": "first_row"}, "columns": columns}
+    with pytest.raises(RecordingError, match=r"found '1,5'; say --decimal , \(or decimal: ','"):
+        read_csv(path, mapping(tmp_path, timed))
+    found = read_csv(path, mapping(tmp_path, timed | {"decimal": ","}))
+    assert found.columns["lean_rate"].tolist() == [1.5, -5.0]
+    assert found.columns["speed"].tolist() == [2.0, 3.25]
+    assert np.diff(found.time_ns).tolist() == [10_000_000]
+    path.write_text(path.read_text().replace("3,25", "3.25"))
+    with pytest.raises(RecordingError, match=r"expected a finite number, found '3.25'"):
+        read_csv(path, mapping(tmp_path, timed | {"decimal": ","}))
+
+
+def test_how_the_sensor_sits_gets_into_the_bag(tmp_path):
+    columns = {
+        f"angular_velocity_{axis}": {"column": axis, "unit": "rad/s", "frame": "rep103"} for axis in "xyz"
+    }
+    mine = {"columns": columns, "imu_orientation": [0.0, 0.0, 1.0, 0.0]}
+    import_csv(log(tmp_path, ["1,2,3"] * 3, "x,y,z"), mapping(tmp_path, mine), tmp_path / "bag")
+    recording = read_recording(tmp_path / "bag")
+    assert recording.run_info.imu_orientation.tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert recording.imu.angular_velocity[0].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_an_optional_column_may_be_absent_or_empty(tmp_path):
+    columns = {
+        "lean_rate": LEAN_RATE,
+        "speed": {"column": "v", "unit": "m/s", "optional": True},
+        "lean": {"column": "l", "unit": "rad", "frame": "sae", "optional": True},
+    }
+    found = read_csv(
+        log(tmp_path, ["1,", "2,"], "r,l"), mapping(tmp_path, {"columns": columns, "missing": "skip"})
+    )
+    assert set(found.columns) == {"lean_rate"}
 
 
 def test_a_column_without_any_value_is_told_even_when_skipping(tmp_path):
     rows = [",,1,0,1,0,0,0,0,"] * 3
-    with pytest.raises(RecordingError, match=r"empty or NaN cell in each: 'roll' has 3 .*--without"):
+    with pytest.raises(
+        RecordingError, match=r"only empty or NaN cells in the columns 'roll'; .*--without lean"
+    ):
         read_csv(log(tmp_path, rows), mapping(tmp_path, {"missing": "skip"}))
 
 
@@ -278,9 +369,6 @@ def test_an_unknown_bicycle_leaves_no_bag(tmp_path):
     assert not (tmp_path / "bag").exists()
 
 
-LEAN_RATE = {"column": "r", "unit": "rad/s", "frame": "sae"}
-
-
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -315,6 +403,15 @@ LEAN_RATE = {"column": "r", "unit": "rad/s", "frame": "sae"}
         ({"start_time_ns": 1.5}, "start_time_ns: expected an integer"),
         ({"missing": "ignore"}, "missing: expected one of error, skip"),
         ({"delimiter": ", "}, "delimiter: expected one character"),
+        ({"delimiter": "a"}, "delimiter: expected one character"),
+        ({"decimal": ";"}, "decimal: expected one of ., ,"),
+        ({"imu_orientation": [0, 0, 0]}, r"imu_orientation: expected a quaternion \[x, y, z, w\]"),
+        ({"imu_orientation": [0, 0, 0, 2]}, "imu_orientation: expected a quaternion of length 1"),
+        (
+            {"imu_orientation": [0, 0, 1, 0], "columns": {"lean_rate": LEAN_RATE}},
+            "rates of the bicycle, not of a sensor",
+        ),
+        ({"columns": {"lean_rate": LEAN_RATE | {"optional": 1}}}, "optional: expected true or false"),
         ({"imu_position": [1, 2]}, r"imu_position: expected \[x, y, z\]"),
     ],
 )

@@ -7,16 +7,15 @@ import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
-from typing import Any
 
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 from tqdm import tqdm
 
 from tms_bag.check_command import add_check, check
-from tms_bag.csv_import import import_csv
 from tms_bag.errors import RecordingError
-from tms_bag.mapping import adapted, load_mapping, mapping_names
+from tms_bag.export_command import add_export, export
+from tms_bag.import_command import add_import, import_log
 from tms_bag.node_commands import add_play, add_record, play, record
 from tms_bag.reader import BagReader
 from tms_bag.repair import repair
@@ -38,7 +37,8 @@ def _parser() -> Parser:
     info = commands.add_parser("info", help="what a bag holds", description="What a bag or .mcap file holds.")
     info.add_argument("bag", help="folder of a bag, or an .mcap file")
     info.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
-    _add_import(commands)
+    add_export(commands)
+    add_import(commands)
     mend = commands.add_parser(
         "repair",
         help="a clean bag out of an unfinished or damaged one",
@@ -52,36 +52,6 @@ def _parser() -> Parser:
     add_record(commands)
     add_play(commands)
     return parser
-
-
-def _add_import(commands: Any) -> None:
-    log = commands.add_parser(
-        "import-csv",
-        help="turn a logger's CSV into a bag",
-        description="Turns a logger's CSV into a bag with the topics of this project.",
-    )
-    log.add_argument("log", help="CSV file with a header")
-    log.add_argument(
-        "--mapping",
-        required=True,
-        help=f"meaning of the columns: {', '.join(mapping_names())}, or a .yaml file",
-    )
-    log.add_argument("-o", "--output", required=True, help="bag to write")
-    log.add_argument("--force", action="store_true", help="replace a bag that is there already")
-    log.add_argument(
-        "--column",
-        action="append",
-        default=[],
-        metavar="QUANTITY=NAME",
-        help="the column is called NAME in this log",
-    )
-    log.add_argument(
-        "--without", action="append", default=[], metavar="QUANTITY", help="this log has no such column"
-    )
-    log.add_argument(
-        "--missing", choices=("error", "skip"), help="rows with empty or NaN cells (default: the mapping's)"
-    )
-    log.add_argument("--bicycle", help="name in the catalogue (default: the mapping's)")
 
 
 def _info(arguments: argparse.Namespace) -> None:
@@ -112,22 +82,6 @@ def _print_info(bag: BagReader, duration: float) -> None:
         print(f"  {key}: {lines[0]}" if len(lines) == 1 else "\n    ".join([f"  {key}:", *lines]))
 
 
-def _import_csv(arguments: argparse.Namespace) -> None:
-    columns = dict(_assignment(text) for text in arguments.column)
-    skip = None if arguments.missing is None else arguments.missing == "skip"
-    mapping = adapted(load_mapping(arguments.mapping), columns, arguments.without, skip, arguments.bicycle)
-    log = import_csv(arguments.log, mapping, arguments.output, overwrite=arguments.force)
-    skipped = f", {log.skipped} rows with empty or NaN cells left out" if log.skipped else ""
-    print(f"{arguments.output}: {log.time_ns.size} rows of {', '.join(log.columns)}{skipped}")
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    quantity, equals, name = text.partition("=")
-    if not (quantity and equals and name):
-        raise ParameterError(f"--column: expected QUANTITY=NAME, found {text!r}")
-    return quantity, name
-
-
 def _repair(arguments: argparse.Namespace) -> None:
     progress = partial(tqdm, desc="repair", unit=" messages", disable=None)
     done = repair(arguments.bag, arguments.output, progress)
@@ -142,7 +96,8 @@ def _repair(arguments: argparse.Namespace) -> None:
 COMMANDS = {
     "info": _info,
     "check": check,
-    "import-csv": _import_csv,
+    "export": export,
+    "import-csv": import_log,
     "repair": _repair,
     "record": record,
     "play": play,

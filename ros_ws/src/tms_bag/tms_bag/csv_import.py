@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from tms_model import load_bicycle
@@ -14,16 +15,35 @@ from tms_bag import __version__, conversion, topics
 from tms_bag.csv_log import Log, read_csv
 from tms_bag.mapping import LogMapping
 from tms_bag.record import Record, merged
-from tms_bag.samples import FloatArray, ImuSamples, LeanYawSamples, RunInfo, SpeedSamples, SteerTorqueSamples
+from tms_bag.samples import (
+    FloatArray,
+    ImuSamples,
+    LeanYawSamples,
+    RunInfo,
+    SpeedSamples,
+    SteerTorqueSamples,
+    selected,
+)
 from tms_bag.writer import BagWriter
+
+_IMU = ("angular_velocity", "specific_force")
+_SUMMARY_RATES = {"lean_rate", "yaw_rate"}
 
 __all__ = ["import_csv", "log_records", "read_csv", "run_info"]
 
 
+@dataclass(frozen=True, eq=False)
+class Import:
+    """What became of a log."""
+
+    log: Log
+    counts: dict[str, int]  # messages by topic
+
+
 def import_csv(
     log: str | os.PathLike[str], mapping: LogMapping, output: str | os.PathLike[str], overwrite: bool = False
-) -> Log:
-    """Write the bag of a log; returns what was read. After RecordingError or ParameterError none is left."""
+) -> Import:
+    """Write the bag of a log; returns what was done. After RecordingError or ParameterError none is left."""
     writer = BagWriter(output, overwrite=overwrite)
     content = read_csv(log, mapping)
     info = run_info(content, mapping)
@@ -36,19 +56,25 @@ def import_csv(
     with writer:
         for record in log_records(content, info):
             writer.write(record, topics.QOS[record.topic.removeprefix("/")])
-    return content
+    return Import(content, writer.counts)
 
 
 def log_records(log: Log, info: RunInfo) -> Iterator[Record]:
-    """All messages of a log, in the order of time."""
-    streams = [conversion.run_info_records(info), conversion.imu_records(_imu(log))]
-    if log.columns.keys() & {"lean", "lean_rate", "yaw_rate"}:
-        streams.append(conversion.lean_yaw_records(_lean_yaw(log)))
-    if "speed" in log.columns:
-        streams.append(conversion.speed_records(SpeedSamples(log.time_ns, log.columns["speed"])))
-    if "steer_torque" in log.columns:
+    """All messages of a log, in the order of time: on each topic the rows that have something for it."""
+    quantities = log.columns.keys()
+    imu = {name for name in quantities if name.startswith(_IMU)}
+    streams = [
+        conversion.run_info_records(info),
+        conversion.imu_records(selected(_imu(log), log.rows_with(imu | (quantities & _SUMMARY_RATES)))),
+    ]
+    if summary := quantities & {"lean", *_SUMMARY_RATES}:
+        streams.append(conversion.lean_yaw_records(selected(_lean_yaw(log), log.rows_with(summary))))
+    if "speed" in quantities:
+        speed = SpeedSamples(log.time_ns, log.columns["speed"])
+        streams.append(conversion.speed_records(selected(speed, log.rows_with({"speed"}))))
+    if "steer_torque" in quantities:
         torque = SteerTorqueSamples(log.time_ns, log.columns["steer_torque"])
-        streams.append(conversion.steer_torque_records(torque))
+        streams.append(conversion.steer_torque_records(selected(torque, log.rows_with({"steer_torque"}))))
     return merged(*streams)
 
 
@@ -59,8 +85,9 @@ def run_info(log: Log, mapping: LogMapping) -> RunInfo:
         start_ns=int(log.time_ns[0]),
         bicycle=mapping.bicycle,
         parameters=load_bicycle(mapping.bicycle).numbers if mapping.bicycle else {},
-        speed=float(np.median(log.columns["speed"])) if "speed" in log.columns else math.nan,
+        speed=float(np.nanmedian(log.columns["speed"])) if "speed" in log.columns else math.nan,
         imu_position=np.array(mapping.imu_position or unknown),
+        imu_orientation=np.array(mapping.imu_orientation or (0.0, 0.0, 0.0, 1.0)),
         source=f"{log.path.name}, mapping {mapping.name}",
         version=__version__,
         source_sha256=log.sha256,

@@ -4,15 +4,19 @@
     bicycle               name in the catalogue, or '' if unknown
     rate                  rows per second [Hz]; or instead of it
     time                  {column, unit: s|ms|us|ns, zero: first_row|epoch}
-    columns               quantity: {column, unit, frame: sae|rep103, sign: 1|-1}; no frame for the speed,
-                          sign may be left out
+    columns               quantity: {column, unit, frame: sae|rep103, sign: 1|-1, optional: true}; no frame
+                          for the speed; sign may be left out; a log needn't have an optional column
     start_time_ns         time of the first row [ns since 1970], unless zero is epoch; default 1 s, since ROS
                           reads 0 as "no time"
-    missing               error|skip: what to do with rows that have an empty or NaN cell in one of the
-                          columns; default error
-    delimiter             default ','
+    missing               error|skip: what to do with empty or NaN cells; with skip each topic gets the rows
+                          that have something for it; default error
+    delimiter             between cells, one character; default: whichever of , ; tab | the header has these
+                          columns with
+    decimal               '.' or ','; default '.'
     imu_position          [x, y, z] of the sensor [m], from the rear contact point in REP-103 axes; default
                           unknown
+    imu_orientation       [x, y, z, w], quaternion that turns the sensor's axes into the rear frame's; default
+                          [0, 0, 0, 1]: aligned
 
 Frame sae: x forward, y right, z down, so that lean, yaw and steer to the right are positive; rep103: x
 forward, y left, z up.
@@ -21,6 +25,7 @@ forward, y left, z up.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import pi
@@ -33,6 +38,7 @@ from tms_model.catalogue import check_keys, number, read_yaml
 
 FOLDER = Path(__file__).parent / "mappings"
 DEFAULT_START_NS = 10**9
+DECIMALS = (".", ",")
 
 UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": pi / 180.0},
@@ -77,6 +83,7 @@ class Column:
     unit: str
     frame: str = ""  # sae or rep103; empty for a quantity without
     sign: int = 1  # -1: the sensor was mounted the other way round
+    optional: bool = False  # a log without it is one without this quantity
 
 
 @dataclass(frozen=True)
@@ -101,8 +108,10 @@ class LogMapping:
     columns: dict[str, Column]  # by quantity
     start_time_ns: int = DEFAULT_START_NS  # [ns since 1970] of the first row
     skip_missing: bool = False
-    delimiter: str = ","
+    delimiter: str = ""  # empty: found by the header
+    decimal: str = "."
     imu_position: tuple[float, float, float] | None = None  # [m] in rear_frame, REP-103 axes
+    imu_orientation: tuple[float, float, float, float] | None = None  # x, y, z, w: imu -> rear_frame
 
     @property
     def configuration(self) -> str:
@@ -134,6 +143,8 @@ def adapted(
     without: Collection[str] = (),
     skip_missing: bool | None = None,
     bicycle: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> LogMapping:
     """The mapping with other column names, without some quantities, and so on. Raises ParameterError."""
     entries = dict(mapping.columns)
@@ -153,20 +164,26 @@ def adapted(
         columns=entries,
         skip_missing=mapping.skip_missing if skip_missing is None else skip_missing,
         bicycle=mapping.bicycle if bicycle is None else bicycle,
+        delimiter=mapping.delimiter if delimiter is None else _delimiter(delimiter, "--delimiter"),
+        decimal=mapping.decimal if decimal is None else _one_of(decimal, DECIMALS, "--decimal"),
     )
 
 
 def _mapping(name: str, document: dict[str, Any], where: str) -> LogMapping:
     clock = "time" if "time" in document else "rate"
-    optional = ("start_time_ns", "missing", "delimiter", "imu_position")
+    optional = ("start_time_ns", "missing", "delimiter", "decimal", "imu_position", "imu_orientation")
     check_keys(document, ("description", "source", "bicycle", clock, "columns"), where, optional)
     columns = document["columns"]
     check_keys(columns, (), f"{where}: columns", tuple(QUANTITIES))
     entries = {key: _column(key, entry, f"{where}: columns.{key}") for key, entry in columns.items()}
     _check_quantities(entries, where)
-    delimiter = document.get("delimiter", ",")
-    if not isinstance(delimiter, str) or len(delimiter) != 1:
-        raise ParameterError(f"{where}: delimiter: expected one character, found {delimiter!r}")
+    orientation = _orientation(document.get("imu_orientation"), f"{where}: imu_orientation")
+    if orientation and {"lean_rate", "yaw_rate"} & entries.keys():
+        raise ParameterError(
+            f"{where}: expected angular_velocity_x, _y, _z with an imu_orientation, found lean_rate or"
+            " yaw_rate:"
+            " these are rates of the bicycle, not of a sensor that sits otherwise"
+        )
     return LogMapping(
         name=name,
         description=str(document["description"]),
@@ -177,21 +194,26 @@ def _mapping(name: str, document: dict[str, Any], where: str) -> LogMapping:
         start_time_ns=_start_time(document.get("start_time_ns", DEFAULT_START_NS), where),
         skip_missing=_one_of(document.get("missing", "error"), ("error", "skip"), f"{where}: missing")
         == "skip",
-        delimiter=delimiter,
+        delimiter=_delimiter(document.get("delimiter", ""), f"{where}: delimiter"),
+        decimal=_one_of(document.get("decimal", "."), DECIMALS, f"{where}: decimal"),
         imu_position=_position(document.get("imu_position"), f"{where}: imu_position"),
+        imu_orientation=orientation,
     )
 
 
 def _column(quantity: str, entry: Any, where: str) -> Column:
     kind, axis = QUANTITIES[quantity].kind, QUANTITIES[quantity].axis
     required = ("column", "unit") if axis is None else ("column", "unit", "frame")
-    check_keys(entry, required, where, () if axis is None else ("sign",))
+    check_keys(entry, required, where, ("optional",) if axis is None else ("sign", "optional"))
     unit = _one_of(entry["unit"], tuple(UNITS[kind]), f"{where}.unit")
     frame = "" if axis is None else _one_of(entry["frame"], ("sae", "rep103"), f"{where}.frame")
     sign = entry.get("sign", 1)
     if isinstance(sign, bool) or sign not in (1, -1):
         raise ParameterError(f"{where}.sign: expected 1 or -1, found {sign!r}")
-    return Column(str(entry["column"]), unit, frame, sign)
+    optional = entry.get("optional", False)
+    if not isinstance(optional, bool):
+        raise ParameterError(f"{where}.optional: expected true or false, found {optional!r}")
+    return Column(str(entry["column"]), unit, frame, sign, optional)
 
 
 def _clock(document: dict[str, Any], where: str) -> Clock:
@@ -236,6 +258,30 @@ def _position(value: Any, where: str) -> tuple[float, float, float] | None:
         raise ParameterError(f"{where}: expected [x, y, z] in metres, found {value!r}")
     x, y, z = (number(entry, where) for entry in value)
     return x, y, z
+
+
+def _orientation(value: Any, where: str) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 4:
+        raise ParameterError(f"{where}: expected a quaternion [x, y, z, w], found {value!r}")
+    x, y, z, w = (number(entry, where) for entry in value)
+    size = math.hypot(x, y, z, w)
+    if not 0.99 < size < 1.01:
+        raise ParameterError(f"{where}: expected a quaternion of length 1, found one of length {size:.4g}")
+    return x / size, y / size, z / size, w / size
+
+
+def _delimiter(value: Any, where: str) -> str:
+    """One character that can stand between numbers; empty: to be found."""
+    if (
+        not isinstance(value, str)
+        or len(value) > 1
+        or value in ('"', "\n", "\r", "\0", ".", "-")
+        or value.isalnum()
+    ):
+        raise ParameterError(f"{where}: expected one character such as , or ; found {value!r}")
+    return value
 
 
 def _one_of(value: Any, allowed: tuple[str, ...], where: str) -> str:
