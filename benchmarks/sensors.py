@@ -18,7 +18,7 @@ DURATION = 10.0  # [s]
 EVERYTHING = {
     "imu.errors": "all",
     "imu.misalignment_deg": [1.0, -0.5, 0.8],
-    "fusion.on": True,
+    "fusion.enabled": True,
     "floor_vibration.rms": 3.5,
     "padding.natural_frequency": 15.0,
     "wireless.range": 100.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from tms_bag import BagWriter, conversion, read_recording, topics
 from tms_model import ParameterError
 from tms_model.frames import quaternion
 from tms_model.imu import ideal_imu
+from tms_sim.blind import write_truth
 from tms_sim.fault_injection import inject, parse_requests
 from tms_sim.imu_grade import load_imu
 from tms_sim.run import SimulatedRun, simulate
@@ -20,7 +22,7 @@ from tms_sim.scenario import load_scenario
 from tms_sim.truth import rear_frame_motion
 
 EVERYTHING: dict[str, Any] = {
-    "imu.errors": "all", "imu.misalignment_deg": [1.0, -0.5, 0.8], "fusion.on": True,
+    "imu.errors": "all", "imu.misalignment_deg": [1.0, -0.5, 0.8], "fusion.enabled": True,
     "floor_vibration.rms": 3.5, "padding.natural_frequency": 15.0, "wireless.range": 100.0,
     "wireless.loss": 0.02, "wireless.burst_start": 0.005, "wireless.latency": 0.01, "wireless.jitter": 0.006,
     "wireless.duplicates": 0.02, "wireless.clock_offset": 0.05, "wireless.clock_drift": 3e-5,
@@ -38,7 +40,7 @@ def everything(**changes: Any) -> SimulatedRun:
 
 
 def test_without_errors_the_samples_are_the_truth() -> None:
-    made = run(imu__grade="pi_node", imu__errors="none", fusion__on=True, speed_sensor__noise=0.0)
+    made = run(imu__grade="pi_node", imu__errors="none", fusion__enabled=True, speed_sensor__noise=0.0)
     motion = made.trajectory.at((made.imu.time_ns - made.info.start_ns) / 1e9)
     rates, force = ideal_imu(rear_frame_motion(motion), np.array([0.0, 0.0, -0.15]), 9.81)
     flip = np.array([1.0, -1.0, -1.0])
@@ -74,7 +76,7 @@ def test_padding_keeps_the_accelerometers_off_their_limit() -> None:
 
 
 def test_the_sensors_own_lean_is_told_and_levels_its_yaw_rate() -> None:
-    true, own = run(imu__grade="ideal"), run(imu__grade="ideal", fusion__on=True)
+    true, own = run(imu__grade="ideal"), run(imu__grade="ideal", fusion__enabled=True)
     assert true.oriented is None
     assert own.oriented is not None
     assert own.oriented.orientation is not None
@@ -142,7 +144,7 @@ def test_what_happens_later_changes_nothing_before() -> None:
 def test_switching_one_error_leaves_the_noise_of_the_others() -> None:
     noisy = run(imu__errors="noise_density").imu.angular_velocity
     biased = run(
-        imu__errors="noise_density, bias", wireless__latency=0.01, fusion__on=True
+        imu__errors="noise_density, bias", wireless__latency=0.01, fusion__enabled=True
     ).imu.angular_velocity
     offset = biased - noisy
     np.testing.assert_allclose(offset, np.broadcast_to(offset[0], offset.shape), atol=1e-14)
@@ -187,6 +189,15 @@ def test_faults_of_a_scenario_are_those_of_a_recording() -> None:
     assert len(events) == len(told) + len(plain.events)
 
 
+def test_a_blind_runs_truth_tells_its_faults(tmp_path: Path) -> None:
+    changes = {"faults": "stuck:time=3", "wireless.loss": 0.01}
+    scenario = load_scenario("tms_strike", changes)
+    made = simulate(scenario, np.random.default_rng(1))
+    told = json.loads(write_truth(made, scenario, tmp_path / "bag").read_text())["events"]
+    assert {"fault", "loss"} <= {event["kind"] for event in told}
+    assert [event["time_ns"] for event in told] == sorted(event["time_ns"] for event in told)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
@@ -226,7 +237,7 @@ def test_whatever_the_sensors_samples_are_finite_and_flags_true(
     made = run(
         **{
             **link, "imu.grade": grade, "imu.errors": errors, "imu.rate": rate, "duration": 1.5,
-            "strike.time": 0.4, "floor_vibration.rms": vibration, "fusion.on": True,
+            "strike.time": 0.4, "floor_vibration.rms": vibration, "fusion.enabled": True,
         },
         seed=seed,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 from tms_bag import Record, RecordingError, topics
+from tms_bag.event import events
 from tms_bag.samples import RunInfo
 
 from tms_sim import __version__
@@ -99,7 +100,7 @@ def _document(run: SimulatedRun, scenario: Scenario) -> dict[str, Any]:
                 "duration": one.duration,
                 "figures": dict(one.figures),
             }
-            for one in run.events
+            for one in events(record for record in run.records() if record.topic == "/" + topics.EVENTS)
         ],
         "state": columns,
     }

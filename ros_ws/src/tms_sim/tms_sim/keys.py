@@ -116,7 +116,7 @@ KEYS: dict[str, Key] = {
         180.0,
         (0.0, 0.0, 0.0),
     ),
-    "fusion.on": Key(
+    "fusion.enabled": Key(
         bool,
         "the sensor finds its own orientation: imu/data, imu/mag, and imu/lean_yaw goes by it; without it"
         " imu/lean_yaw goes by the true lean",

@@ -49,7 +49,7 @@ def imu_stream(
     acting = felt(rear_frame_motion(motion), place, gravity, field, shake)
     readings = read(acting, grade, rate, reading)
     own = None
-    if scenario.switch("fusion.on"):
+    if scenario.switch("fusion.enabled"):
         own = orientations(
             readings, at_rest(place, gravity, field), _filter(scenario), rate, grade.gyroscope.limit
         )
