@@ -28,7 +28,8 @@ def rates(records: list[Record]) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_all_is_sent_once_and_in_order(name: str) -> None:
-    live = LiveRun(load_scenario(name, {"duration": 5.0, "imu.rate": 50.0}))
+    last = load_scenario(name).numbers("strike.time")[-1]
+    live = LiveRun(load_scenario(name, {"duration": last + 1.0, "imu.rate": 50.0}))
     sent = until(live, 1e9)
     assert live.finished
     assert sent == live.records
