@@ -25,9 +25,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         estimators = tuple(arguments.estimator or FitSettings.estimators)
         fit = _fit(arguments, estimators, tuple(arguments.strike))
         if arguments.json:
-            print_json(to_json(fit))
+            print_json(to_json(fit, arguments.hypotheses))
         else:
-            print(to_table(fit))
+            print(to_table(fit, arguments.hypotheses))
     elif arguments.command == "report":
         fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
         try:
@@ -86,6 +86,11 @@ def _parser() -> Parser:
                 metavar="TIME",
                 help="start of a free response [s since the recording's start], in place of those found;"
                 " may be repeated",
+            )
+            command.add_argument(
+                "--hypotheses",
+                action="store_true",
+                help="test rival explanations of each strike, one sentence each",
             )
         elif name == "report":
             command.add_argument("-o", "--output", required=True, help="file to write, .html")

@@ -1,0 +1,135 @@
+"""Residual tests: as others compute them, silent on noise, and named after what is there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from statsmodels.stats.diagnostic import acorr_ljungbox
+from tms_fit.criticism import criticise, fisher_g, fit_percent, ljung_box, nis_band
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.hypotheses import impulse_ratio, verdicts
+from tms_fit.settings import DEFAULT_FREE, FitSettings
+from tms_fit.speed_curve import constant_speed
+from tms_fit.window import Window
+from tms_model import linear_system, load_bicycle, response, yaw_rate
+
+SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore")
+
+
+def made(seed: int, start: tuple[float, ...] = (0.0, 0.0, 0.5, 0.0), noise: float = 0.02) -> Window:
+    """A free response of 1.5 s at 100 Hz."""
+    system = linear_system(load_bicycle("tms_eq_10_1"), 3.6)
+    time = np.arange(151) / 100.0
+    states = response(system, np.array(start), time)
+    rates = np.stack([states[:, 2], yaw_rate(system, states)], axis=1)
+    rates += noise * np.random.default_rng(seed).standard_normal(rates.shape)
+    return Window(0, time, rates[:, 0], rates[:, 1], load_bicycle("tms_eq_10_1"), constant_speed(3.6, 0.005))
+
+
+@pytest.mark.parametrize("lags", [1, 5, 20])
+def test_ljung_box_is_that_of_statsmodels(lags: int) -> None:
+    values = np.random.default_rng(1).standard_normal(150)
+    values[1:] += 0.2 * values[:-1]
+    theirs = acorr_ljungbox(values, lags=[lags])
+    q, p = ljung_box(values, lags)
+    assert q == pytest.approx(float(theirs["lb_stat"].iloc[0]), rel=1e-10)
+    assert p == pytest.approx(float(theirs["lb_pvalue"].iloc[0]), rel=1e-8)
+
+
+def test_ljung_box_with_missing_samples_is_no_more_often_alarmed() -> None:
+    # Under white noise its probabilities are uniform, whether samples are missing or not.
+    rng = np.random.default_rng(2)
+    found = []
+    for _ in range(400):
+        values = rng.standard_normal(200)
+        values[rng.random(200) < 0.2] = np.nan
+        found.append(ljung_box(values, 10)[1])
+    assert stats.kstest(found, "uniform").pvalue > 1e-3
+
+
+def test_fisher_by_hand_and_by_chance() -> None:
+    # Three ordinates, the largest with half of the sum: 3 (1 - 1/2)^2 - 3 (1 - 1)^2 = 3/4.
+    assert fisher_g(np.array([2.0, 1.0, 1.0])) == pytest.approx(0.75)
+    rng = np.random.default_rng(3)
+    found = [fisher_g(rng.exponential(size=75)) for _ in range(400)]
+    assert stats.kstest(found, "uniform").pvalue > 1e-3
+
+
+def test_nis_band_is_the_published_one() -> None:
+    # 400 samples of two channels: [1.81, 2.20]; NEES of four states over 50 runs: [3.25, 4.82].
+    assert nis_band(400) == pytest.approx((1.81, 2.20), abs=0.005)
+    assert nis_band(50, 4) == pytest.approx((3.25, 4.82), abs=0.01)
+
+
+def test_fit_percent_by_hand() -> None:
+    # Residuals half as long as the deviations from the mean: 50 %.
+    window = made(1)
+    estimate = fit_window(window, SETTINGS)
+    residual = 0.5 * (window.measured - window.measured.mean(axis=0))
+    assert fit_percent(window, replace(estimate, residual=residual)) == pytest.approx(
+        {"lean_rate": 50.0, "yaw_rate": 50.0}
+    )
+
+
+def test_nothing_speaks_against_the_right_model() -> None:
+    # 60 runs of 8 tests at 1e-3 each: 0.5 alarms are expected; 5 or more come by chance once in 6000.
+    alarms = 0
+    for seed in range(60):
+        window = made(seed)
+        found = criticise(window, fit_window(window, SETTINGS), stated_std=0.02)
+        assert len(found.tests) == 8
+        alarms += sum(not test.passed for test in found.tests)
+    assert alarms < 5
+
+
+def test_each_flaw_is_named() -> None:
+    window = made(4)
+    wave = replace(window, yaw_rate=window.yaw_rate + 0.08 * np.sin(2.0 * np.pi * 20.0 * window.time))
+    estimate = fit_window(wave, SETTINGS)
+    found = criticise(wave, estimate)
+    assert any("a shimmy of 19.9 Hz" in t.sentence or "a shimmy of 20" in t.sentence for t in found.tests)
+    assert "shimmy" in found.verdict
+    loud = criticise(window, fit_window(window, SETTINGS), stated_std=0.01)
+    assert {test.name for test in loud.tests if not test.passed} == {"chi_square"}
+    spikes = window.lean_rate.copy()
+    spikes[::30] += 0.3
+    spiked = criticise(window, fit_window(replace(window, lean_rate=spikes), SETTINGS))
+    assert any(test.name == "normality" and not test.passed for test in spiked.tests)
+
+
+def test_the_right_model_is_seldom_rejected() -> None:
+    # 20 runs, 5 true hypotheses: 0.1 rejections at 1e-3 are expected, 3 or more come once in 6000.
+    rejected = 0
+    for seed in range(20):
+        for verdict in verdicts(made(seed), SETTINGS):
+            if not verdict.hypothesis.startswith("the steer rate of a roll impulse"):
+                rejected += verdict.rejected
+    assert rejected < 3
+
+
+def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
+    bicycle = load_bicycle("tms_eq_10_1")
+    ratio = impulse_ratio(bicycle)
+    assert ratio == pytest.approx(-2.03, abs=0.005)  # published beside Eq. (10.1)'s matrices
+    told = {
+        verdict.hypothesis: verdict for verdict in verdicts(made(5, (0.0, 0.0, 0.5, 0.5 * ratio)), SETTINGS)
+    }
+    assert told["no steer rate at the start"].rejected
+    assert told["no steer rate at the start"].delta_bic < -10.0
+    assert "is rejected (p < 1e-6); a steer rate of -" in told["no steer rate at the start"].sentence
+    (impulse,) = (one for name, one in told.items() if name.startswith("the steer rate of a roll impulse"))
+    assert not impulse.rejected
+    (other,) = (v for v in verdicts(made(5), SETTINGS) if v.hypothesis.startswith("the steer rate of a roll"))
+    assert other.rejected
+
+
+def test_a_slip_at_the_start_is_seen() -> None:
+    window = made(6)
+    slipping = replace(window, yaw_rate=window.yaw_rate - 0.3 * np.exp(-window.time / 0.05))
+    (slip,) = (v for v in verdicts(slipping, SETTINGS) if v.parameter == "slip")
+    assert slip.rejected
+    assert slip.value == pytest.approx(0.3 * math.sqrt(0.05 / 2.0 / 0.4), rel=0.5)  # its mean square by hand
