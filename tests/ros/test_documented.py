@@ -77,12 +77,13 @@ def test_parameters_services_and_topics(make: Any, name: str, tmp_path: Path) ->
     found = [line for line in text.splitlines() if re.match(r"\| `[a-z0-9_.]+` \|.*\|.*\|.*\|", line)]
     assert found == expected, "\n".join(["docs/nodes.md should say:", *expected])
     own = f"/{node.get_name()}/"
-    for service, _ in node.get_service_names_and_types_by_node(node.get_name(), "/"):
+    for served, _ in node.get_service_names_and_types_by_node(node.get_name(), "/"):
+        service = served.partition("/_action/")[0]  # an action is made of services and topics
         if service.startswith(own) and "parameter" not in service and "type_description" not in service:
             assert f"~/{service.removeprefix(own)}`" in text, f"{service} isn't documented"
     for topic, _ in node.get_publisher_names_and_types_by_node(node.get_name(), "/"):
         if topic not in ("/rosout", "/parameter_events", "/diagnostics") and name != "Player":
-            shown = topic.replace(own, "~/").removeprefix("/")
+            shown = topic.partition("/_action/")[0].replace(own, "~/").removeprefix("/")
             assert f"`{shown}`" in text or f"`/{shown}`" in text, f"{topic} isn't documented"
     for parameter in expected:
         assert not parameter.endswith("|  |"), f"without a description: {parameter}"

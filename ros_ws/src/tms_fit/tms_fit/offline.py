@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +41,21 @@ def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
     return load_bicycle(found)
 
 
+Progress = Callable[[float, int], None]  # share of the samples used, strikes fitted so far
+
+
 def fit_recording(
-    recording: Recording, bicycle: Bicycle, settings: FitSettings, strike_times: tuple[float, ...] = ()
+    recording: Recording,
+    bicycle: Bicycle,
+    settings: FitSettings,
+    strike_times: tuple[float, ...] = (),
+    progress: Progress | None = None,
 ) -> RecordingFit:
     """Find the strikes of a recording and fit each. Raises RecordingError without a speed or a lean rate.
 
     strike_times: starts of the free responses that somebody states [s since the recording's first stamp], in
-    place of those found. Raises RecordingError where there are no samples at one of them.
+    place of those found. Raises RecordingError where there are no samples at one of them. `progress` is
+    called now and then; what it raises ends the fit.
     """
     info = recording.run_info
     nominal = info.speed if info else float("nan")
@@ -66,7 +75,7 @@ def fit_recording(
         )
     given = tuple(_stamp(recording, time) for time in sorted(set(strike_times)))
     online = OnlineFit(bicycle, settings, orientation_of(info), nominal, False, given)
-    feed(online, recording)
+    feed(online, recording, progress)
     if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
         raise RecordingError(
             f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN"
@@ -101,16 +110,21 @@ def orientation_of(info: RunInfo | None) -> Array:
     return quaternion(0.0, 0.0, 0.0)
 
 
-def feed(online: OnlineFit, recording: Recording) -> None:
+def feed(online: OnlineFit, recording: Recording, progress: Progress | None = None) -> None:
     """Give all samples of a recording to `online`, in time order, and finish it."""
     times, kinds, rows = _merged(recording)
     imu, speed, torque = recording.imu, recording.speed, recording.steer_torque
-    for time_ns, kind, row in zip(
-        tqdm(times.tolist(), desc="fit", unit=" samples", leave=False, disable=not sys.stderr.isatty()),
-        kinds.tolist(),
-        rows.tolist(),
-        strict=True,
+    every = max(len(times) // 100, 1)
+    for number, (time_ns, kind, row) in enumerate(
+        zip(
+            tqdm(times.tolist(), desc="fit", unit=" samples", leave=False, disable=not sys.stderr.isatty()),
+            kinds.tolist(),
+            rows.tolist(),
+            strict=True,
+        )
     ):
+        if progress is not None and number % every == 0:
+            progress(number / len(times), online.strike_count)
         if kind == 2:
             online.add_imu(time_ns, imu.angular_velocity[row], imu.angular_velocity_variance)
         elif kind == 1 and torque is not None:

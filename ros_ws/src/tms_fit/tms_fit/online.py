@@ -106,6 +106,11 @@ class OnlineFit:
         """IMU samples left out: repeated, late."""
         return self._aligned.counts
 
+    @property
+    def strike_count(self) -> int:
+        """Strikes found so far."""
+        return len(self._onsets)
+
     def refit(self, fit: StrikeFit, bicycle: Bicycle, settings: FitSettings) -> StrikeFit:
         """Fit a strike once more with other settings; a longer window ends where the memory does.
 

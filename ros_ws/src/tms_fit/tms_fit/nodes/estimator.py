@@ -15,12 +15,14 @@ from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.handled import HandledReport
 from tms_bag.nodes.interfaces import OVERRIDABLE, message_class
 from tms_bag.nodes.ordered_intake import OrderedIntake
-from tms_bag.nodes.parameters import declare, refuse_unknown_parameters
+from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
 from tms_fit.live import INPUTS, LiveFit
 from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE, FILTER_STATE_TYPE
-from tms_fit.settings import LINEAR, FitSettings
+from tms_fit.nodes.bag_fits import BagFits
+from tms_fit.nodes.refit import offer_refit
+from tms_fit.nodes.settings import declare_settings
 
 DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
 
@@ -30,41 +32,13 @@ class Estimator(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("estimator", **kwargs)
-        bicycle = declare(
-            self, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names"
-        )
-        free = declare(
-            self, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default"
-        )
-        settings = FitSettings(
-            free=tuple(name for name in free if name) or None,
-            window=declare(self, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
-            gyroscope_noise=declare(
-                self,
-                "gyroscope_noise",
-                FitSettings.gyroscope_noise,
-                "noise where no message states it [rad/s]",
-                1e-9,
-                10.0,
-            ),
-            steer_torque=declare(
-                self,
-                "steer_torque",
-                FitSettings.steer_torque,
-                "how a known torque enters: auto, feedback, input, ignore",
-            ),
-            estimators=tuple(
-                declare(self, "estimators", list(FitSettings.estimators), "estimators, in order")
-            ),
-        )
-        self._idle = declare(
-            self, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0
-        )
-        self._fit = LiveFit(settings, bicycle)
+        settings = declare_settings(self)
+        self._idle = settings.idle
+        self._fit = LiveFit(settings.fit, settings.bicycle, settings.reorder_window, settings.preview_period)
         self._last = time.monotonic()
         # Estimates are few and must not be missed by who comes late; filter states are a stream like any
         # sensor's.
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         offered = {
             ESTIMATE: (ESTIMATE_TYPE, latched),
             FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=100)),
@@ -78,6 +52,8 @@ class Estimator(Node):
         refuse_unknown_parameters(self)
         self._handled = HandledReport(self, INPUTS)
         self._intake = OrderedIntake(self, {topic: _wanted(topic) for topic in INPUTS}, self._take)
+        offer_refit(self, self._fit)
+        self._bag_fits = BagFits(self, settings.fit)
         self.create_timer(0.2, self._finish_when_idle, clock=Clock(clock_type=ClockType.STEADY_TIME))
         report_every_second(self, self._report)
         self.get_logger().info("estimator ready")
@@ -88,7 +64,8 @@ class Estimator(Node):
 
     def close(self) -> None:
         """Say what came."""
-        print(f"estimator: {dict(self._fit.counts)}", file=sys.stderr)
+        self._bag_fits.close()
+        print(f"estimator: {self._fit.diagnostics}", file=sys.stderr)
 
     def _take(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()
@@ -112,7 +89,7 @@ class Estimator(Node):
             else f"bicycle {self._fit.bicycle}"
         )
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
-        return text, not waiting and not lost, {**self._fit.counts, **lost}
+        return text, not waiting and not lost, {**self._fit.diagnostics, **lost}
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

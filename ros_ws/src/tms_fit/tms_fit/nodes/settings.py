@@ -1,0 +1,93 @@
+"""The estimator's parameters, and the settings that a request asks for in their place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rclpy.node import Node
+from tms_bag.nodes.parameters import declare
+from tms_model import ParameterError
+
+from tms_fit.live import PREVIEW_PERIOD, REORDER_WINDOW
+from tms_fit.settings import LINEAR, FitSettings
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the estimator was started with."""
+
+    fit: FitSettings
+    bicycle: str  # empty: the one that run_info names
+    idle: float  # [s]
+    reorder_window: float  # [s]
+    preview_period: float  # [s], 0: none
+
+
+def declare_settings(node: Node) -> Settings:
+    """Declare and read all parameters. Raises ParameterError."""
+    bicycle = declare(
+        node, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names"
+    )
+    free = declare(node, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default")
+    fit = FitSettings(
+        free=tuple(name for name in free if name) or None,
+        window=declare(node, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
+        gyroscope_noise=declare(
+            node,
+            "gyroscope_noise",
+            FitSettings.gyroscope_noise,
+            "noise where no message states it [rad/s]",
+            1e-9,
+            10.0,
+        ),
+        steer_torque=declare(
+            node,
+            "steer_torque",
+            FitSettings.steer_torque,
+            "how a known torque enters: auto, feedback, input, ignore",
+        ),
+        estimators=tuple(declare(node, "estimators", list(FitSettings.estimators), "estimators, in order")),
+    )
+    return Settings(
+        fit=fit,
+        bicycle=bicycle,
+        idle=declare(
+            node, "idle", 3.0, "without IMU samples for so long, a run counts as ended [s]", 0.5, 3600.0
+        ),
+        reorder_window=declare(
+            node,
+            "reorder_window",
+            REORDER_WINDOW,
+            "longest that an IMU sample may come after a later one; answers wait for it [s]",
+            0.0,
+            5.0,
+        ),
+        preview_period=declare(
+            node,
+            "preview_period",
+            PREVIEW_PERIOD,
+            "time between estimates of a response that unfolds, 0: none [s]",
+            0.0,
+            60.0,
+        ),
+    )
+
+
+def asked_for(base: FitSettings, request: Any) -> FitSettings:
+    """Settings of a request (tms_msgs/srv/Refit, action/FitRecording goal); what it leaves empty is base's.
+
+    Raises ParameterError.
+    """
+    if len(request.fixed_names) != len(request.fixed_values):
+        raise ParameterError(
+            f"fixed_values: expected {len(request.fixed_names)}, one for each of fixed_names, found"
+            f" {len(request.fixed_values)}"
+        )
+    return replace(
+        base,
+        free=tuple(request.free) or base.free,
+        fixed=dict(zip(request.fixed_names, request.fixed_values, strict=True)) or base.fixed,
+        estimators=tuple(request.estimators) or base.estimators,
+        window=request.window or base.window,
+    )
