@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
 import numpy
@@ -60,21 +62,24 @@ def _files(path: Path) -> list[Path]:
 
 
 def _settings(fit: RecordingFit) -> str:
-    settings = fit.settings
-    parts = [
-        f"free {', '.join(settings.free or DEFAULT_FREE)}" + ("" if settings.free else " (default)"),
-        *(f"{name} = {significant(value, 6)}" for name, value in settings.fixed.items()),
-        *(
-            f"{name} beforehand {significant(mean)} with standard deviation {significant(std)}"
-            for name, (mean, std) in settings.priors.items()
-        ),
-        f"window {settings.window:g} s",
-        f"channels {', '.join(settings.channels)}",
-        f"speed model {settings.speed_model}, resistance {settings.resistance}",
-        f"steer torque {settings.steer_torque}",
-        f"estimators {', '.join(settings.estimators)}",
-    ]
-    return "; ".join(parts)
+    parts = [_setting(entry.name, getattr(fit.settings, entry.name)) for entry in fields(fit.settings)]
+    return "; ".join(part for part in parts if part)
+
+
+def _setting(name: str, value: object) -> str:
+    """One setting in words, whatever its kind; empty where nothing was asked for."""
+    words = name.replace("_", " ")
+    if name == "free":
+        value = value or (*DEFAULT_FREE, "by default")
+    if isinstance(value, Mapping):
+        return "; ".join(f"{words} {key} = {_plain(one)}" for key, one in value.items())
+    return f"{words} {_plain(value)}" if value is not None else ""
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(_plain(one) for one in value)
+    return significant(value, 6) if isinstance(value, float) else str(value)
 
 
 def _programs() -> str:
