@@ -18,6 +18,7 @@ from tms_fit.report.charts.rates import rates_chart
 from tms_fit.report.charts.residuals import histogram_chart, residual_chart
 from tms_fit.report.charts.speed import speed_chart
 from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
+from tms_fit.report.element import Element, element
 from tms_fit.report.filtered import filter_steps, nis, share_inside
 from tms_fit.report.motion import Motion, predicted_motion, true_motion
 from tms_fit.report.parameters import estimator_table, parameter_table
@@ -26,6 +27,7 @@ from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
 from tms_fit.report.whiteness import autocorrelation, spectrum
 from tms_fit.settings import CHANNELS
+from tms_fit.strike_fit import StrikeFit
 
 
 def strike_section(fit: RecordingFit, index: int) -> Section:
@@ -33,7 +35,7 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
     strike = fit.strikes[index]
     name, title = f"strike-{index + 1}", f"Strike {index + 1}"
     if first_good(strike) is None:
-        return Section(name, title, (sentence(fit, index),), tables=(estimator_table(strike),))
+        return Section(name, title, (sentence(fit, index), _why(strike)), tables=(estimator_table(strike),))
     both = comparison(fit, index + 1)
     charts, data = _charts(fit, both)
     motions = _motions(fit, both)
@@ -46,12 +48,17 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
     return Section(
         name,
         title,
-        (sentence(fit, index), animation(name, both, "true" in motions)),
+        (sentence(fit, index), _why(strike), animation(name, both, "true" in motions)),
         charts,
         tuple(tables),
         data,
         motions,
     )
+
+
+def _why(strike: StrikeFit) -> Element:
+    why = strike.strike.why
+    return element("p", f"{why[:1].upper()}{why[1:]}.", class_="why")
 
 
 def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dict[str, Columns]]:

@@ -14,11 +14,13 @@ from tms_fit.offline import RecordingFit, first_stamp, orientation_of
 from tms_fit.report.chart import Columns
 from tms_fit.report.charts.timeline import timeline_chart
 from tms_fit.report.datasets import column
-from tms_fit.report.element import Element, element
+from tms_fit.report.element import Element, element, table
+from tms_fit.report.rounding import fixed
 from tms_fit.report.section import Section
 from tms_fit.report.truth import true_events
 
 GAP = 1.5  # usual steps between samples; a longer one lacks some
+REJECTED = "looked at, no strike"
 BINS = 600  # of the envelope: more than a screen shows
 SENSORS = {"accelerometer at its limit": 0b000111, "gyroscope at its limit": 0b111000}  # tms_msgs/LeanYaw
 
@@ -28,6 +30,7 @@ def timeline(fit: RecordingFit) -> Section:
     time_ns, start = fit.recording.imu.time_ns, first_stamp(fit.recording)
     gaps, lost = gaps_of(time_ns)
     spans = [("strike", one.start_ns, one.end_ns) for one in fit.strikes]
+    spans += [(REJECTED, one.time_ns, one.time_ns) for one in fit.rejected]
     spans += [("samples missing", first, last) for first, last in gaps]
     summary = fit.recording.lean_yaw
     if summary is not None:
@@ -46,8 +49,21 @@ def timeline(fit: RecordingFit) -> Section:
         "The recording",
         (_words(fit, gaps, lost), *(element("p", text, class_="caution") for text in fit.recording.warnings)),
         (timeline_chart(kinds, fit.recording.state is not None),),
+        tables=_rejected(fit, start),
         data=data,
     )
+
+
+def _rejected(fit: RecordingFit, start: int) -> tuple[Element, ...]:
+    """Why sudden changes were not taken for strikes; nothing where there were none."""
+    if not fit.rejected:
+        return ()
+    rows: list[list[Element | str]] = [
+        [fixed((one.time_ns - start) / 1e9, 2), fixed(one.change, 2), one.why] for one in fit.rejected
+    ]
+    head = ["at [s]", "change of the lean rate [rad/s]", "why it is no strike"]
+    summary = element("summary", f"Changes that were looked at and not taken for strikes ({len(rows)})")
+    return (element("details", summary, table(head, rows, class_="rejected")),)
 
 
 def gaps_of(time_ns: NDArray[np.int64]) -> tuple[list[tuple[int, int]], int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tms_fit.report.chart import BLUE, GREEN, GREY, ORANGE, Chart, Spec, field, layer, panel, zero_line
 from tms_fit.report.charts.overview import WHEN
 
-ROW = 22  # height of a kind of event
+ROW = 32  # height of a kind of event
 COLOURS = {"strike": BLUE, "samples missing": ORANGE}
 
 
@@ -48,12 +48,19 @@ def _rows(kinds: tuple[str, ...]) -> Spec:
     }
     names = {
         "data": {"values": [{"kind": kind} for kind in kinds]},
-        "mark": {"type": "text", "align": "left", "baseline": "middle", "fontSize": 11, "dx": 4},
+        "mark": {
+            "type": "text",
+            "align": "left",
+            "baseline": "middle",
+            "fontSize": 11,
+            "dx": 4,
+            "yOffset": -8,
+        },
         "encoding": {"y": y, "x": {"value": 0}, "text": {"field": "kind", "type": "nominal"}},
     }
     scale = {"nice": False}
-    bar = {"type": "bar", "height": 12, "minBandSize": 2}
-    tick = {"type": "tick", "thickness": 2}
+    bar = {"type": "bar", "height": 12, "yOffset": 7}
+    tick = {"type": "tick", "thickness": 2, "height": 12, "yOffset": 7}
     return panel(
         {
             "data": {"name": "envelope"},
