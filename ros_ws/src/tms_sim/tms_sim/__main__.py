@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from tms_bag import BagWriter, RecordingError, topics
@@ -22,6 +23,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = _parser().parse_args(argv)
     if arguments.command == "list":
         _list(arguments)
+    elif arguments.command == "plot":
+        _plot(arguments)
     elif arguments.command == "fault":
         fault(arguments)
     else:
@@ -33,6 +36,10 @@ def _parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser("list", help="scenarios", description="scenarios")
     one.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    text = "a simulated run on one page: path, angles, rates, speed, forces, with the truth"
+    one = commands.add_parser("plot", help=text, description=text)
+    one.add_argument("bag", help="bag of a simulated run, with its truth")
+    one.add_argument("-o", "--output", required=True, help="file to make: .png, .svg or .pdf")
     text = "put faults into a recording, each told as an event of the truth"
     fault_arguments(commands.add_parser("fault", help=text, description=text))
     one = commands.add_parser(
@@ -58,6 +65,15 @@ def _list(arguments: argparse.Namespace) -> None:
         return
     for name, text in scenarios.items():
         print(f"{name:18} {text}")
+
+
+def _plot(arguments: argparse.Namespace) -> None:
+    # matplotlib takes a second to import: only who draws pays for it
+    from tms_model.figures.saving import save_figure
+
+    from tms_sim.notebook import draw, read_page
+
+    save_figure(draw(read_page(arguments.bag)), Path(arguments.output))
 
 
 def _run(arguments: argparse.Namespace) -> None:

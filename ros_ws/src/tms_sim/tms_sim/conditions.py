@@ -10,11 +10,11 @@ from tms_model import Bicycle, ParameterError, load_bicycle
 from tms_model.acceleration import effective_mass, parameters_under_acceleration
 from tms_model.bicycle import Array
 from tms_model.parameters import WhippleParameters
-from tms_model.sliding import SlidingEquations, sliding_equations
+from tms_model.sliding import sliding_equations
 
 from tms_sim.contact import Contacts
 from tms_sim.floor import Floor, load_floor, load_wheels
-from tms_sim.intervention import changed_bicycle, load_intervention
+from tms_sim.intervention import Intervention, changed_bicycle, load_intervention
 from tms_sim.plant import Plant
 from tms_sim.scenario import Scenario
 from tms_sim.shimmy import Shimmy, shimmy_of, torque_per_angle
@@ -72,8 +72,9 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
 
     Raises ParameterError for unknown names, and for effects that need more of a bicycle than is known.
     """
-    floor = _effective_floor(scenario)
-    bicycle = _bicycle(scenario)
+    intervention = load_intervention(scenario.text("intervention"))
+    floor = _effective_floor(scenario, intervention)
+    bicycle = _bicycle(scenario, intervention)
     acceleration = 0.0
     if floor.rolling_resistance:
         parameters, _ = parameters_under_acceleration(bicycle)
@@ -83,7 +84,7 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
     wanted, first = scenario.number("speed_at_strike"), scenario.numbers("strike.time")[0]
     launch = wanted - acceleration * (first - release) if wanted else scenario.number("speed")
     shimmy = _shimmy(scenario, bicycle, floor) if scenario.switch("effects.shimmy") else None
-    plant = _plant(scenario, bicycle, floor, acceleration)
+    plant = _plant(scenario, bicycle, floor, acceleration, intervention.vertical_load)
     start = Conditions(
         plant=plant,
         shimmy=shimmy,
@@ -99,12 +100,11 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
     return replace(start, joints=tuple(_joints(start, floor, end, rng)))
 
 
-def _effective_floor(scenario: Scenario) -> Floor:
+def _effective_floor(scenario: Scenario, intervention: Intervention) -> Floor:
     """The floor under the scenario's wheels, without the effects that are switched off."""
     floor, wheels = load_floor(scenario.text("floor")), load_wheels(scenario.text("wheels"))
-    added = load_intervention(scenario.text("intervention")).added_resistance
     on = {key: scenario.switch(f"effects.{key}") for key in ("rolling_resistance", "slip", "scrub", "joints")}
-    resistance = floor.rolling_resistance * wheels.resistance_factor + added
+    resistance = floor.rolling_resistance * wheels.resistance_factor + intervention.added_resistance
     return Floor(
         rolling_resistance=resistance if on["rolling_resistance"] else 0.0,
         lateral_friction=floor.lateral_friction * wheels.friction_factor if on["slip"] else math.inf,
@@ -114,9 +114,8 @@ def _effective_floor(scenario: Scenario) -> Floor:
     )
 
 
-def _bicycle(scenario: Scenario) -> Bicycle:
+def _bicycle(scenario: Scenario, intervention: Intervention) -> Bicycle:
     """The bicycle after the intervention, the controller's feedback among its steer elements."""
-    intervention = load_intervention(scenario.text("intervention"))
     bicycle = changed_bicycle(load_bicycle(scenario.text("bicycle")), intervention)
     elements = bicycle.steer_elements
     gain = elements.lean_rate_gain + scenario.number("steer_torque.lean_rate_gain")
@@ -127,10 +126,12 @@ def _mass(p: WhippleParameters) -> float:
     return p.rear_wheel_mass + p.rear_frame_mass + p.front_frame_mass + p.front_wheel_mass
 
 
-def _plant(scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: float) -> Plant:
+def _plant(
+    scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: float, vertical_load: float
+) -> Plant:
     contacts = None
     if math.isfinite(floor.lateral_friction):
-        contacts = _contacts(scenario, bicycle, floor, acceleration)
+        contacts = _contacts(bicycle, floor, acceleration, vertical_load)
     return Plant(
         bicycle=bicycle,
         acceleration=acceleration,
@@ -141,12 +142,11 @@ def _plant(scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: flo
     )
 
 
-def _contacts(scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: float) -> Contacts:
+def _contacts(bicycle: Bicycle, floor: Floor, acceleration: float, vertical_load: float) -> Contacts:
     equations = sliding_equations(bicycle, acceleration)
     cos = equations.heading
     turned = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, cos]])  # of both wheels, about the vertical
     damping = equations.damping + floor.scrub * turned.T @ turned
-    load = load_intervention(scenario.text("intervention")).vertical_load
     weights = equations.normal_forces
     if (weights <= 0.0).any():
         raise ParameterError(
@@ -158,14 +158,10 @@ def _contacts(scenario: Scenario, bicycle: Bicycle, floor: Floor, acceleration: 
             f"effects.slip: expected a bicycle with inertia in every motion, found {bicycle.name}, whose"
             " masses are points; switch slip off, or give its frames moments of inertia"
         )
-    pressed = weights * (1.0 + load / weights.sum())
+    pressed = weights * (1.0 + vertical_load / weights.sum())
     # What slows a wheel down is no longer there to hold it sideways.
     grip = math.sqrt(max(floor.lateral_friction**2 - floor.rolling_resistance**2, 0.0))
-    return Contacts(_with_damping(equations, damping), grip * pressed, acceleration)
-
-
-def _with_damping(equations: SlidingEquations, damping: Array) -> SlidingEquations:
-    return replace(equations, damping=damping)
+    return Contacts(replace(equations, damping=damping), grip * pressed, acceleration)
 
 
 def _offset_mass(scenario: Scenario, bicycle: Bicycle, acceleration: float) -> Array:

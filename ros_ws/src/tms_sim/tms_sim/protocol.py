@@ -33,6 +33,7 @@ from tms_sim.scenario import Scenario
 from tms_sim.steps import ORDER, bridge, shifted
 
 FALLEN_LEAN = 1.0  # [rad]; beyond it linear theory means nothing and the run ends
+GRIP = 0.15  # [s] from the catch until hands hold the bicycle upright and straight
 HELD_STEP = 0.02  # [s] of the motion in the experimenter's hands
 
 
@@ -118,23 +119,30 @@ def _catch(scenario: Scenario, under_way: Ride) -> float:
         [
             [state[LEAN], state[LEAN_RATE], rates[LEAN_RATE]],
             [state[STEER], state[STEER_RATE], rates[STEER_RATE]],
-            [now.speed(under_way.time), now.plant.acceleration, 0.0],
             [state[TURN], rates[TURN], 0.0],
             [state[SIDE], rates[SIDE], 0.0],
+            [now.speed(under_way.time), now.plant.acceleration, 0.0],
         ]
     )
-    lean, steer, speed, turn, side = bridge(rows, np.zeros((5, 3)), T)
+    grip = min(GRIP, T)
+    lean, steer, turn, side = bridge(rows[:4], np.zeros((4, 3)), grip)
+    (speed,) = bridge(rows[4:], np.zeros((1, 3)), T)
     yaw = np.concatenate([[state[YAW]], turn / np.arange(1, 7)])
-    channels = dict(zip(range(5), (lean, steer, yaw, side, speed), strict=True))
     begin = under_way.time
     end = min(begin + T, scenario.number("duration"))
-    if end > begin:
-        _hand_held(under_way, begin, end, channels)
+    gripped = min(begin + grip, end)
+    if gripped > begin:
+        channels = dict(enumerate((lean, steer, yaw, side, speed)))
+        _hand_held(under_way, begin, gripped, channels)
+    if end > gripped:
+        heading = np.array([float(grip ** np.arange(len(yaw)) @ yaw)])
+        rest = {YAW_CHANNEL: heading, SPEED_CHANNEL: shifted(speed, grip)}
+        _hand_held(under_way, gripped, end, rest)
     under_way.phases.append((begin, CAUGHT))
     return end
 
 
-LEAN_CHANNEL, SPEED_CHANNEL = 0, 4  # of tms_sim.motion.CHANNELS
+LEAN_CHANNEL, YAW_CHANNEL, SPEED_CHANNEL = 0, 2, 4  # of tms_sim.motion.CHANNELS
 
 
 def _hand_held(under_way: Ride, begin: float, end: float, channels: dict[int, Array]) -> None:

@@ -26,6 +26,7 @@ SOME_LEFT = 0.05  # of the shimmy's amplitude, when the handlebars are let go
 _BLOCK = 64  # steps computed at once while both wheels roll, and
 _SLIDING_BLOCK = 3  # while one slides
 _LOOKS = np.linspace(0.0, 1.0, 9)
+_CLOSER = np.linspace(0.0, 1.0, 33)
 _POWERS = np.arange(ORDER + 1)
 _CHANNELS = (LEAN, STEER, YAW, SIDE)
 _MOST_CHANGES = 20000  # of mode in a run
@@ -165,8 +166,8 @@ class Ride:
         k = int(np.any(happened, axis=1).argmax())
         look = int(happened[k].argmax())
         low, high = times[k, max(look - 1, 0)], times[k, look]
-        while high - low > 1e-13:
-            within = low + (high - low) * _LOOKS
+        while high - low > 1e-12:
+            within = low + (high - low) * _CLOSER
             margins = self._margins(terms[k : k + 1], speeds[k : k + 1], within[None], rows)
             found = np.any(margins[:, 0] > 0.0, axis=0)
             found[-1] = True
