@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tms_bag.samples import ImuSamples
 from tms_model import linear_system, load_bicycle
 from tms_sim.imu_grade import imu_names, load_imu
+from tms_sim.keys import KEYS
 from tms_sim.protocol import FALLEN_LEAN as FALLEN
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario, scenario_names
@@ -48,7 +49,18 @@ def test_every_scenario_shows_its_strike(name: str) -> None:
     assert result.info.simulated
 
 
-@pytest.mark.parametrize("name", scenario_names())
+# Where the sensor's clock is the host's and nothing is lost on the way.
+PUNCTUAL = [
+    name
+    for name in scenario_names()
+    if all(
+        load_scenario(name).values[key] == KEYS[key].default for key in KEYS if key.startswith("wireless.")
+    )
+    and load_scenario(name).text("speed_sensor.kind") == "noise"
+]
+
+
+@pytest.mark.parametrize("name", PUNCTUAL)
 def test_stamps_are_exact_and_rates_are_kept(name: str) -> None:
     scenario, result = load_scenario(name), run(name)
     for samples, rate in (
