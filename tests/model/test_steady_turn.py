@@ -88,9 +88,8 @@ def test_torque_of_a_steady_turn(name: str, speed: float) -> None:
     size = abs(stiffness[1, 1]) + abs(stiffness[0, 1] * stiffness[1, 0] / stiffness[0, 0])
     assert turn.torque_per_steer == pytest.approx(expected, abs=1e-12 * size)
     held = np.array([turn.lean_per_steer, 1.0, 0.0, 0.0])
-    acceleration = (
-        state_matrix(bicycle, speed) @ held + linear_system(bicycle, speed).b * turn.torque_per_steer
-    )
+    command = turn.torque_per_steer / bicycle.steer_elements.steer_torque_gain  # of which so much arrives
+    acceleration = state_matrix(bicycle, speed) @ held + linear_system(bicycle, speed).b * command
     np.testing.assert_allclose(acceleration, 0.0, atol=1e-8 * np.abs(state_matrix(bicycle, speed)).max())
 
 
@@ -247,8 +246,9 @@ def test_first_motion_after_a_torque_step(name: str) -> None:
     per_torque = steer_acceleration_per_torque(bicycle)
     assert per_torque > 0.0
     system = linear_system(bicycle, 3.6)
-    assert system.b[STEER_RATE] == pytest.approx(per_torque, rel=1e-10)
-    after = response(system, np.zeros(4), np.array([1e-6]), np.array([1.0]))[0]
+    command = 1.0 / bicycle.steer_elements.steer_torque_gain  # of which 1 N m arrives
+    assert system.b[STEER_RATE] * command == pytest.approx(per_torque, rel=1e-10)
+    after = response(system, np.zeros(4), np.array([1e-6]), np.array([command]))[0]
     assert after[STEER_RATE] == pytest.approx(per_torque * 1e-6, rel=1e-3)
 
 

@@ -13,6 +13,7 @@ from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
 from tms_fit.estimators import ESTIMATORS
+from tms_fit.joint_commands import add_arguments, print_calibration, print_together
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
 from tms_fit.settings import DEFAULT_FREE, PARAMETERS, SPEED_MODELS, STEER_TORQUES, FitSettings
@@ -20,8 +21,13 @@ from tms_fit.settings import DEFAULT_FREE, PARAMETERS, SPEED_MODELS, STEER_TORQU
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Parse the arguments and answer. Raises ParameterError and RecordingError."""
-    arguments = _parser().parse_args(argv)
-    if arguments.command == "run":
+    words = sys.argv[1:] if argv is None else list(argv)
+    arguments = _parser().parse_args(words)
+    if arguments.command == "together":
+        print_together(arguments)
+    elif arguments.command == "calibrate":
+        print_calibration(arguments, words)
+    elif arguments.command == "run":
         estimators = tuple(arguments.estimator or FitSettings.estimators)
         fit = _fit(arguments, estimators, tuple(arguments.strike))
         if arguments.json:
@@ -102,6 +108,7 @@ def _parser() -> Parser:
             command.add_argument(
                 "--strike", type=int, default=1, help="which strike, counted from 1 (default 1)"
             )
+    add_arguments(commands)
     return parser
 
 

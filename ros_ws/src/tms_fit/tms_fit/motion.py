@@ -98,6 +98,5 @@ def _with_feedback(bicycle: Bicycle, lean_rate_gain: float) -> Bicycle:
     if not lean_rate_gain:
         return bicycle
     elements = bicycle.steer_elements
-    return replace(
-        bicycle, steer_elements=replace(elements, lean_rate_gain=elements.lean_rate_gain + lean_rate_gain)
-    )
+    gain = elements.lean_rate_gain + elements.steer_torque_gain * lean_rate_gain
+    return replace(bicycle, steer_elements=replace(elements, lean_rate_gain=gain))

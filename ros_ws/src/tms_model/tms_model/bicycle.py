@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tms_model.calibrated import Calibrated
 from tms_model.parameters import ParameterError, WhippleParameters
 from tms_model.steer_elements import SteerElements
 
@@ -46,6 +47,7 @@ class Bicycle:
     source: str = ""
     uncertainty: str = ""
     standard_deviations: Mapping[str, float] = field(default_factory=dict)  # of parameters, where stated
+    calibrated: Calibrated | None = None  # covariance and provenance, of a bicycle made from recordings
 
     def __post_init__(self) -> None:
         for letter, matrix in self.canonical.items():

@@ -2,9 +2,10 @@
 
 A file says `description`, `source`, `uncertainty` and either `parameters` (the Whipple parameters, with
 `standard_deviations` of some of them if one likes) or `geometry` and `matrices`; steer elements may stand
-beside the parameters or the geometry. Or it says a `parent`, another bicycle, and its `changes`. Keys that
-end in `_deg` are degrees, everything else SI units. Unknown and missing keys are errors. Parameter files of
-BicycleParameters are read too (`tms_model.parameter_files`).
+beside the parameters or the geometry. Or it says a `parent`, another bicycle, and its `changes`, with their
+`calibration` (`tms_model.calibrated`) if they were found from recordings. Keys that end in `_deg` are
+degrees, everything else SI units. Unknown and missing keys are errors. Parameter files of BicycleParameters
+are read too (`tms_model.parameter_files`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 import yaml
 
 from tms_model.bicycle import Array, Bicycle, assemble
+from tms_model.calibrated import read_calibration
 from tms_model.changes import with_parameters
 from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
 from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, ParameterError, WhippleParameters
@@ -150,7 +152,7 @@ def _physical(values: dict[str, float], where: str) -> WhippleParameters:
 def _child(path: Path, document: dict[str, Any], line: tuple[str, ...]) -> Bicycle:
     """A bicycle that is another one with changes; `line` are the files from the first child to this one."""
     where = str(path)
-    check_keys(document, (*_TEXT, "parent", "changes"), where)
+    check_keys(document, (*_TEXT, "parent", "changes"), where, ("calibration",))
     parent, changes = str(document["parent"]), document["changes"]
     if parent.endswith((".yaml", ".yml", ".txt")):
         parent = str(path.parent / parent)  # beside this file
@@ -164,11 +166,18 @@ def _child(path: Path, document: dict[str, Any], line: tuple[str, ...]) -> Bicyc
         changed = with_parameters(whole, numbers, name=path.stem)
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from error
+    calibrated, deviations = None, dict(changed.standard_deviations)
+    if "calibration" in document:
+        calibrated = read_calibration(document["calibration"], tuple(numbers), f"{where}: calibration")
+        stated = calibrated.standard_deviations
+        deviations |= {name: stated[name] for name in calibrated.names if name in PARAMETER_NAMES}
     return replace(
         changed,
         description=str(document["description"]),
         source=str(document["source"]),
         uncertainty=str(document["uncertainty"]),
+        standard_deviations=deviations,
+        calibrated=calibrated,
     )
 
 

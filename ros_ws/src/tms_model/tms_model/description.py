@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import Any
 
 from tms_model.bicycle import Bicycle
+from tms_model.calibrated import calibration_yaml
 from tms_model.command_line import print_json
 from tms_model.parameter_files import SYMBOLS
 from tms_model.physical import objections
@@ -43,16 +45,24 @@ def show(bicycle: Bicycle, arguments: argparse.Namespace) -> None:
     text = {key: getattr(bicycle, key) for key in ("description", "source", "uncertainty")}
     deviations = dict(bicycle.standard_deviations)
     impossible = objections(bicycle.parameters) if bicycle.parameters is not None else ()
+    if bicycle.calibrated is not None:
+        deviations |= bicycle.calibrated.standard_deviations
     if arguments.json:
-        numbers = {
+        numbers: dict[str, Any] = {
             "parameters": bicycle.numbers,
             "standard_deviations": deviations,
             "objections": list(impossible),
         }
+        if bicycle.calibrated is not None:
+            numbers["calibration"] = calibration_yaml(bicycle.calibrated)
         print_json({"bicycle": bicycle.name, **text, **numbers})
         return
     for key, value in text.items():
         print(f"{key}: {value}")
+    if bicycle.calibrated is not None:
+        print(f"calibrated: {bicycle.calibrated.command}")
+        for one in bicycle.calibrated.recordings:
+            print(f"  {one['strikes']} strikes of {one['name']} (sha256 {one['sha256']})")
     for line in impossible:
         print(f"no body has this: {line}")
     for name, value in bicycle.numbers.items():

@@ -40,10 +40,11 @@ class TorqueStep:
 
 
 def torque_step(bicycle: Bicycle, speed: float, steer_torque: float, times: Array) -> TorqueStep:
-    """Response to a steer torque [N m] held from time zero on, at a speed [m/s].
+    """Response to a known steer torque [N m] held from time zero on, at a speed [m/s].
 
-    times: (n,) [s], ascending from 0, close enough for the heading to change little between two. Raises
-    ParameterError for times that don't begin at 0 or don't ascend.
+    What of it arrives at the fork is the bicycle's `steer_torque_gain`, 1 unless it says so. times: (n,) [s],
+    ascending from 0, close enough for the heading to change little between two. Raises ParameterError for
+    times that don't begin at 0 or don't ascend.
     """
     if len(times) < 2 or times[0] != 0.0 or not (np.diff(times) > 0.0).all():
         raise ParameterError("times: expected two or more in ascending order, the first 0")

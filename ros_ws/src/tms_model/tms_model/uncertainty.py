@@ -2,14 +2,16 @@
 
 Two ways, which agree when the uncertainties are small: first order (each parameter's derivative times its
 standard deviation, summed in squares) and Monte Carlo (normal samples through the whole calculation).
-Parameters count as independent: parameter files state no covariances, though trail, tilt and wheelbase, say,
-may have been measured together. What is uncertain is what a bicycle's `standard_deviations` name.
+Parameters count as independent, but for those of a calibrated bicycle, whose covariance is known: parameter
+files state none, though trail, tilt and wheelbase, say, may have been measured together. What is uncertain is
+what a bicycle's `standard_deviations` name; its steer elements count as known.
 
 Where two eigenvalues meet, neither of them has a derivative: first order says nothing there, samples do.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import permutations
@@ -76,9 +78,14 @@ def eigenvalue_uncertainty(
 def sampled(bicycle: Bicycle, generator: np.random.Generator, samples: int) -> dict[str, Array]:
     """Normal samples (n,) of the uncertain parameters, drawn in the order of `standard_deviations`."""
     means = asdict(bicycle.parameters) if bicycle.parameters else {}
+    names = tuple(bicycle.standard_deviations)
+    drawn = generator.standard_normal((len(names), samples))
+    if bicycle.calibrated is not None:
+        values, vectors = np.linalg.eigh(bicycle.calibrated.correlation_of(names))
+        drawn = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * drawn)
     return {
-        name: means[name] + deviation * generator.standard_normal(samples)
-        for name, deviation in bicycle.standard_deviations.items()
+        name: means[name] + bicycle.standard_deviations[name] * row
+        for name, row in zip(names, drawn, strict=True)
     }
 
 
@@ -99,11 +106,19 @@ def _propagated(
     values = quantities(_stated(bicycle))[0]
     names = [name for name, deviation in bicycle.standard_deviations.items() if deviation > 0.0]
     parts = _contributions(bicycle, names, quantities)
+    correlation = (
+        bicycle.calibrated.correlation_of(tuple(names)) if bicycle.calibrated else np.eye(len(names))
+    )
     drawn = np.empty((0, len(values)))
     if samples:
         drawn = quantities(ensemble(bicycle, sampled(bicycle, generator, samples)))
     return [
-        _uncertain(float(value), dict(zip(names, part.tolist(), strict=True)), column)
+        _uncertain(
+            float(value),
+            dict(zip(names, part.tolist(), strict=True)),
+            float(part @ correlation @ part),
+            column,
+        )
         for value, part, column in zip(values, parts.T, drawn.T, strict=True)
     ]
 
@@ -117,7 +132,7 @@ def _contributions(bicycle: Bicycle, names: list[str], quantities: Callable[[Ens
     return np.asarray((varied[: len(names)] - varied[len(names) :]) / (2.0 * STEP))
 
 
-def _uncertain(value: float, contributions: dict[str, float], drawn: Array) -> Uncertain:
+def _uncertain(value: float, contributions: dict[str, float], variance: float, drawn: Array) -> Uncertain:
     there = drawn[np.isfinite(drawn)]
     mean, std, low, high = np.nan, np.nan, np.nan, np.nan
     if len(there):
@@ -125,7 +140,7 @@ def _uncertain(value: float, contributions: dict[str, float], drawn: Array) -> U
         low, high = (float(edge) for edge in np.quantile(there, (0.025, 0.975)))
     return Uncertain(
         value=value,
-        std=float(np.linalg.norm(list(contributions.values()))),
+        std=math.sqrt(max(variance, 0.0)) if np.isfinite(variance) else np.nan,
         contributions=contributions,
         sample_mean=mean,
         sample_std=std,
