@@ -22,7 +22,7 @@ from scipy.signal import periodogram
 from tms_bag import BagWriter
 from tms_fit.report.element import element, markup
 from tms_fit.report.filtered import share_inside
-from tms_fit.report.rounding import decimals, fixed
+from tms_fit.report.rounding import as_sentence, decimals, fixed
 from tms_fit.report.timeline import gaps_of
 from tms_fit.report.whiteness import autocorrelation, power_density
 from tms_sim.run import SimulatedRun
@@ -116,6 +116,18 @@ def test_numbers_are_those_of_fit_run(command: Any, report: Any, bag: Path) -> N
     }
     assert len(list(numbers(expected))) == 8
     assert set(numbers(expected)) <= shown
+
+
+def test_findings_are_those_of_fit_run(command: Any, report: Any, bag: Path) -> None:
+    document = json.loads(command("tms_fit", "run", bag, "--json", "--hypotheses").out)
+    (strike,) = document["strikes"]
+    page = report(bag)
+    shown = {float(str(attributes["value"])) for tag, attributes in page.elements if tag == "data"}
+    for one in strike["hypotheses"]:
+        assert as_sentence(one["sentence"]) in page.text or one["p_value"] >= 1e-3
+        assert {one["value"], one["assumed"]} <= {*shown, None}
+    for test in strike["estimates"][0]["criticism"]["tests"]:
+        assert as_sentence(test["sentence"]) in page.text
 
 
 def test_header_tells_what_it_rests_on(command: Any, report: Any, bag: Path) -> None:
@@ -409,6 +421,12 @@ def test_killed_half_way_leaves_nothing_half_written(bag: Path, tmp_path: Path, 
 )
 def test_two_digits_of_the_standard_error(std: float, places: int) -> None:
     assert decimals(std) == places
+
+
+def test_signs_are_typeset() -> None:
+    assert as_sentence("a gain of -1.2 +- 0.1, p < 1e-6, Ljung-Box") == (
+        "A gain of \u22121.2 \u00b1 0.1, p < 1e-6, Ljung-Box."
+    )
 
 
 def test_minus_and_nothing() -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import sys
 from functools import cache
 from importlib.resources import files
 from string import Template
 from typing import Any
 
 import vl_convert
+from tqdm import tqdm
 
 from tms_fit.comparison import source_of
 from tms_fit.offline import RecordingFit
@@ -27,7 +29,14 @@ SNIPPET = "window.vegaEmbed = vegaEmbed;"
 
 def sections(fit: RecordingFit) -> list[Section]:
     """Overview, recording and strikes, in reading order."""
-    return [overview(fit), timeline(fit), *(strike_section(fit, index) for index in range(len(fit.strikes)))]
+    strikes = tqdm(
+        range(len(fit.strikes)),
+        desc="report",
+        unit=" strikes",
+        leave=False,
+        disable=not sys.stderr.isatty(),
+    )
+    return [overview(fit), timeline(fit), *(strike_section(fit, index) for index in strikes)]
 
 
 def report_html(fit: RecordingFit, parts: list[Section]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from tms_fit.report.element import Element, element
 
@@ -36,6 +37,16 @@ def significant(value: float, digits: int = 3) -> str:
     if not math.isfinite(value):
         return NONE
     return f"{value:.{digits}g}".replace("-", MINUS)
+
+
+def typeset(text: str) -> str:
+    """A text of the terminal as it is printed: proper minus and plus-minus signs."""
+    return re.sub(r"(?<![\w.])-(?=\d)", MINUS, text.replace("+-", "\u00b1"))
+
+
+def as_sentence(text: str) -> str:
+    """A clause as a sentence: a capital first, a full stop last."""
+    return f"{text[:1].upper()}{typeset(text[1:])}."
 
 
 def number(value: float, places: int) -> Element:

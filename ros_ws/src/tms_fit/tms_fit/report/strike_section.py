@@ -7,6 +7,8 @@ from tms_model import stability
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
+from tms_fit.criticism import criticise
+from tms_fit.hypotheses import verdicts
 from tms_fit.motion import motion
 from tms_fit.offline import RecordingFit
 from tms_fit.report import datasets
@@ -20,8 +22,10 @@ from tms_fit.report.charts.speed import speed_chart
 from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
 from tms_fit.report.element import Element, element
 from tms_fit.report.filtered import filter_steps, nis, share_inside
+from tms_fit.report.findings import criticism_table, hypotheses_table
 from tms_fit.report.motion import Motion, predicted_motion, true_motion
 from tms_fit.report.parameters import estimator_table, parameter_table
+from tms_fit.report.rounding import as_sentence
 from tms_fit.report.section import Section
 from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
@@ -40,6 +44,9 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
     charts, data = _charts(fit, both)
     motions = _motions(fit, both)
     tables = [parameter_table(both.estimate)]
+    judged = criticism_table(criticise(both.used, both.estimate))
+    told = hypotheses_table(verdicts(both.used, both.estimate.settings or fit.settings))
+    tables += [one for one in (judged, told) if one is not None]
     if len(strike.estimates) > 1:
         tables.append(estimator_table(strike))
     if fit.recording.state is not None:
@@ -57,8 +64,7 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
 
 
 def _why(strike: StrikeFit) -> Element:
-    why = strike.strike.why
-    return element("p", f"{why[:1].upper()}{why[1:]}.", class_="why")
+    return element("p", as_sentence(strike.strike.why), class_="why")
 
 
 def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dict[str, Columns]]:

@@ -15,7 +15,7 @@ from tms_fit.report.chart import Columns
 from tms_fit.report.charts.timeline import timeline_chart
 from tms_fit.report.datasets import column
 from tms_fit.report.element import Element, element, table
-from tms_fit.report.rounding import fixed
+from tms_fit.report.rounding import fixed, typeset
 from tms_fit.report.section import Section
 from tms_fit.report.truth import true_events
 
@@ -59,7 +59,8 @@ def _rejected(fit: RecordingFit, start: int) -> tuple[Element, ...]:
     if not fit.rejected:
         return ()
     rows: list[list[Element | str]] = [
-        [fixed((one.time_ns - start) / 1e9, 2), fixed(one.change, 2), one.why] for one in fit.rejected
+        [fixed((one.time_ns - start) / 1e9, 2), fixed(one.change, 2), typeset(one.why)]
+        for one in fit.rejected
     ]
     head = ["at [s]", "change of the lean rate [rad/s]", "why it is no strike"]
     summary = element("summary", f"Changes that were looked at and not taken for strikes ({len(rows)})")
