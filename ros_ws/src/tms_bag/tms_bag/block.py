@@ -162,6 +162,8 @@ def _run(content: bytes, position: int) -> tuple[NDArray[np.int64], int]:
             found += int(np.argmax(other))
             break
         found += tried
+    if not found:
+        return none
     return np.asarray(position + step * np.arange(found, dtype=np.int64)), position + step * found
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tms_bag import topics
 from tms_bag.columns import FRAME_ID, Columns
@@ -43,7 +44,10 @@ _TRUTH = (
 )  # fmt: skip
 _CONTACTS = ("rear_contact", "front_contact")
 _LEAN_YAW = ("lean", "lean_rate", "yaw_rate")
-_RUN_INFO = ("bicycle", "speed", "simulated", "seed", "source", "version", "source_sha256", "configuration")
+_RUN_INFO: dict[str, object] = {
+    "bicycle": "", "speed": 0.0, "simulated": False, "seed": 0, "source": "", "version": "",
+    "source_sha256": "", "configuration": "",
+}  # fmt: skip
 _COVARIANCES = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
 
 # What of each topic's messages becomes samples: the rest need not be read.
@@ -87,15 +91,12 @@ def imu_samples(messages: Messages) -> ImuSamples:
     """
     table = _read(topics.IMU, messages)
     rates, forces = _vectors(table, "angular_velocity"), _vectors(table, "linear_acceleration")
-    rate_covariance, force_covariance = (
-        table["angular_velocity_covariance"],
-        table["linear_acceleration_covariance"],
-    )
+    turn_covariance, rate_covariance, force_covariance = (_column(table, name, (9,)) for name in _COVARIANCES)
     rates[rate_covariance[:, 0] == -1.0] = np.nan
     forces[force_covariance[:, 0] == -1.0] = np.nan
     if not len(table):
         return ImuSamples(table.time_ns, rates, forces)
-    absent = table["orientation_covariance"][:, 0] == -1.0
+    absent = turn_covariance[:, 0] == -1.0
     orientation = np.stack([_column(table, f"orientation.{axis}") for axis in "xyzw"], axis=1)
     orientation[absent] = np.nan
     return ImuSamples(
@@ -106,7 +107,7 @@ def imu_samples(messages: Messages) -> ImuSamples:
         specific_force_variance=_variance(force_covariance[0]),
         frame_id=table.frame_id,
         orientation=None if absent.all() else orientation,
-        orientation_variance=_variance(table["orientation_covariance"][int(np.argmin(absent))]),
+        orientation_variance=_variance(turn_covariance[int(np.argmin(absent))]),
     )
 
 
@@ -125,7 +126,7 @@ def magnetic_samples(messages: Messages) -> MagneticSamples:
     if not len(table):
         return MagneticSamples(table.time_ns, field)
     return MagneticSamples(
-        table.time_ns, field, _variance(table["magnetic_field_covariance"][0]), table.frame_id
+        table.time_ns, field, _variance(_column(table, "magnetic_field_covariance", (9,))[0]), table.frame_id
     )
 
 
@@ -143,9 +144,9 @@ def lean_yaw_samples(messages: Messages) -> LeanYawSamples:
     """Lean, lean rate and yaw rate; NaN where the message marks them as not valid."""
     table = _read(topics.LEAN_YAW, messages)
     lean, lean_rate, yaw_rate = (
-        np.where(table[f"{name}_valid"], _column(table, name), np.nan) for name in _LEAN_YAW
+        np.where(_column(table, f"{name}_valid") != 0.0, _column(table, name), np.nan) for name in _LEAN_YAW
     )
-    return LeanYawSamples(table.time_ns, lean, lean_rate, yaw_rate, table["saturation"].astype(np.uint8))
+    return LeanYawSamples(table.time_ns, lean, lean_rate, yaw_rate, _flags(table, "saturation"))
 
 
 def speed_records(samples: SpeedSamples) -> Iterator[Record]:
@@ -172,7 +173,7 @@ def speed_covariance_records(samples: SpeedSamples) -> Iterator[Record]:
 def speed_covariance_samples(messages: Messages) -> SpeedSamples:
     """Forward speed and its variance."""
     table = _read(topics.SPEED_COVARIANCE, messages)
-    variance = np.array(table["twist.covariance"][:, 0], dtype=np.float64)
+    variance = _column(table, "twist.covariance", (36,))[:, 0]
     variance[~(variance > 0.0)] = np.nan
     return SpeedSamples(table.time_ns, _column(table, "twist.twist.linear.x"), variance)
 
@@ -206,7 +207,7 @@ def state_samples(messages: Messages) -> StateSamples:
     return StateSamples(
         time_ns=table.time_ns,
         state=np.stack([_column(table, name) for name in _STATE], axis=1),
-        phase=table["phase"].astype(np.uint8) if "phase" in table else np.zeros(len(table), np.uint8),
+        phase=_flags(table, "phase"),
         **{name: _column(table, name) for name in _TRUTH},
         **{name: _column(table, name, (2,)) for name in _CONTACTS},
     )
@@ -243,17 +244,31 @@ def run_info_records(info: RunInfo) -> Iterator[Record]:
 
 
 def run_info(record: Record, message: Any = None) -> RunInfo:
-    """RunInfo of a message; `message` is its object, by default made with the type installed here."""
+    """RunInfo of a message; `message` is its object, by default made with the type installed here.
+
+    RecordingError if a bag defines the type so that it can't be one.
+    """
     m = deserialize(record.data, record.type) if message is None else message
-    position, rotation = m.imu_mounting.translation, m.imu_mounting.rotation
-    since = {name: getattr(m, name) for name in _RUN_INFO if hasattr(m, name)}  # a version may lack some
-    return RunInfo(
-        start_ns=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
-        parameters=dict(zip(m.parameter_names, m.parameter_values.tolist(), strict=False)),
-        imu_position=np.array([position.x, position.y, position.z]),
-        imu_orientation=np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
-        **since,
-    )
+    try:
+        since = {name: getattr(m, name) for name in _RUN_INFO if hasattr(m, name)}  # a version may lack some
+        for name, value in since.items():
+            if type(value) is not type(_RUN_INFO[name]):
+                raise TypeError(f"{name} is {value!r}"[:100])
+        position, rotation = m.imu_mounting.translation, m.imu_mounting.rotation
+        return RunInfo(
+            start_ns=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
+            parameters={
+                str(name): float(value)
+                for name, value in zip(m.parameter_names, m.parameter_values.tolist(), strict=False)
+            },
+            imu_position=np.array([position.x, position.y, position.z], np.float64),
+            imu_orientation=np.array([rotation.x, rotation.y, rotation.z, rotation.w], np.float64),
+            **since,
+        )
+    except (AttributeError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"expected a {record.type}, found that the bag defines it otherwise ({error})"
+        ) from error
 
 
 def _table(topic: str, time_ns: IntArray, frame_id: str) -> Table:
@@ -307,7 +322,18 @@ def _column(table: Columns, name: str, shape: tuple[int, ...] = ()) -> FloatArra
     """A number of each message; NaN where an older version of the type doesn't have it."""
     if name not in table:
         return np.full((len(table), *shape), np.nan)
+    if table[name].shape[1:] != shape:
+        raise RecordingError(
+            f"{table.topic}: expected {name} of a {table.type} to be {shape or 'a number'}, found"
+            f" {table[name].shape[1:]}:"
+            " the bag defines this type otherwise"
+        )
     return np.array(table[name], dtype=np.float64)
+
+
+def _flags(table: Columns, name: str) -> NDArray[np.uint8]:
+    """A number from 0 to 255 of each message; 0 where an older version of the type doesn't have it."""
+    return np.asarray(np.clip(np.nan_to_num(_column(table, name)), 0, 255).astype(np.uint8))
 
 
 def _covariance(variance: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ HEADER_SIZE = 9  # [bytes] opcode and length
 LARGEST_CHUNK = 2**26  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
 
 # What parsing a damaged record can raise, from the mcap library, struct and the decompressors.
-DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, zstandard.ZstdError)
+DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, zstandard.ZstdError)
 
 LARGEST_RECORD = LARGEST_CHUNK + 2**16  # [bytes] a chunk that is not compressed, and its head
 

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
+from tms_model.catalogue import NOT_YAML
 
 from tms_bag.channel import Channel
 from tms_bag.errors import RecordingError
@@ -134,7 +135,7 @@ def custom_data_of_record(text: str) -> dict[str, str]:
         return {}
     try:
         information = yaml.load(text, Loader=_Loader)
-    except (ValueError, RecursionError, yaml.YAMLError):
+    except NOT_YAML:
         return {}
     if isinstance(information, dict):
         information = information.get(ROOT, information)
@@ -161,7 +162,7 @@ def _load(path: Path) -> dict[str, Any]:
                 f"{path}: expected a few kilobytes, found {path.stat().st_size} bytes; {hint}"
             )
         content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except (OSError, *NOT_YAML) as error:
         raise RecordingError(f"{path}: can't be read as YAML ({_first_line(error)}); {hint}") from error
     information = content.get(ROOT) if isinstance(content, dict) else None
     if not isinstance(information, dict):

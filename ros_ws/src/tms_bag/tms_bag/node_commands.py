@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from tms_model.catalogue import NOT_YAML
 
 from tms_bag.errors import RecordingError
 from tms_bag.presets import PRESETS
@@ -100,7 +101,7 @@ def qos_overrides(path: Path) -> dict[str, object]:
     """ROS parameters out of rosbag2's YAML file of overrides. RecordingError if it isn't one."""
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, *NOT_YAML) as error:
         raise RecordingError(
             f"{path}: can't be read as YAML ({' '.join(str(error).split())[:200]})"
         ) from error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import yaml
+from tms_model.catalogue import NOT_YAML
 
 INFINITE_NS = 2**63 - 1  # how rmw spells "no deadline, no lifespan, no lease"
 
@@ -71,7 +72,7 @@ def from_yaml(text: str) -> tuple[Qos, ...]:
         return ()
     try:
         return from_list(yaml.safe_load(text))
-    except (ValueError, RecursionError, yaml.YAMLError):
+    except NOT_YAML:
         return ()
 
 

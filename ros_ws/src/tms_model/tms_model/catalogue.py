@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,11 @@ from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 
 FOLDER = Path(__file__).parent / "bicycles"
+LARGEST_YAML = 2**20  # [bytes]
+MOST_ENTRIES = 20_000
+LARGEST_NUMBER = 1e300  # a YAML integer may be larger than any float
+# What the safe loader raises for texts that aren't YAML, or not of the types that their tags say.
+NOT_YAML = (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RecursionError)
 _TEXT = ("description", "source", "uncertainty")
 _GEOMETRY = ("wheelbase", "trail", "steer_axis_tilt", "gravity")
 
@@ -66,14 +72,34 @@ def _load(name: str, children: tuple[str, ...]) -> Bicycle:
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML mapping from a file, by the safe loader. Raises ParameterError when there is none to be read."""
     try:
+        if path.is_file() and path.stat().st_size > LARGEST_YAML:
+            raise ParameterError(
+                f"{path}: expected a YAML file of some kilobytes, found more than a megabyte"
+            )
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ParameterError(f"{path}: expected a readable YAML file, found: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: expected YAML, found: {' '.join(str(error).split())}") from error
+    except NOT_YAML as error:
+        raise ParameterError(f"{path}: expected YAML, found: {' '.join(str(error).split())[:300]}") from error
     if not isinstance(document, dict):
         raise ParameterError(f"{path}: expected a mapping of keys, found {type(document).__name__}")
+    if _written_out(document, {}) > MOST_ENTRIES:
+        raise ParameterError(
+            f"{path}: expected a YAML file of at most {MOST_ENTRIES} entries, found aliases that make it"
+            " longer, or an alias of what it is in"
+        )
     return document
+
+
+def _written_out(value: Any, known: dict[int, float]) -> float:
+    """Entries of a document with all aliases written out; infinite if one stands for what it is in."""
+    if not isinstance(value, dict | list):
+        return 1.0
+    if id(value) not in known:
+        known[id(value)] = math.inf  # until all that is in it is known
+        parts = [*value, *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1.0 + sum(_written_out(part, known) for part in parts)
+    return known[id(value)]
 
 
 def check_keys(mapping: Any, required: tuple[str, ...], where: str, optional: tuple[str, ...] = ()) -> None:
@@ -98,8 +124,8 @@ def unquoted(value: Any) -> Any:
 def number(value: Any, where: str) -> float:
     """`value` as a float. Raises ParameterError for anything that is not a finite number."""
     value = unquoted(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ParameterError(f"{where}: expected a finite number, found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_NUMBER:
+        raise ParameterError(f"{where}: expected a finite number, found {reprlib.repr(value)}")
     return float(value)
 
 

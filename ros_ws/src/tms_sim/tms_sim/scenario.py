@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 from tms_model import ParameterError
-from tms_model.catalogue import check_keys, read_yaml
+from tms_model.catalogue import NOT_YAML, check_keys, read_yaml
 
 from tms_sim.keys import KEYS, Value, checked
 
@@ -106,7 +106,7 @@ def parse_change(text: str) -> tuple[str, Any]:
     try:
         if equals:
             return key.strip(), yaml.safe_load(value)
-    except yaml.YAMLError:
+    except NOT_YAML:
         pass
     raise ParameterError(f"--set: expected KEY=VALUE, found {text!r}")
 
