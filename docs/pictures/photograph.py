@@ -10,7 +10,7 @@ from pathlib import Path
 
 from selenium import webdriver
 
-WIDTH, HEIGHT = 1000, 1024  # [pixels]
+WIDTH, HEIGHT = 1000, 1076  # [pixels]
 INSTANT = 0.6  # [s] after the strike: the bicycle leans and turns
 FLAGS = "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking disable-sync"
 
