@@ -251,6 +251,10 @@ REFUSED = {
     "prior of no width": (["--prior", "speed=3.6,0"], "a positive standard deviation, found 3.6 and 0"),
     "no channel": (["--channels", ""], "channels: expected at least one of"),
     "unknown channel": (["--channels", "pitch_rate"], "channels: unknown 'pitch_rate'"),
+    "noise": (["--noise", "pink"], "invalid choice: 'pink'"),
+    "range zero": (["--gyroscope-range", "0"], "gyroscope range: expected a positive number of rad/s"),
+    "censored outliers": (["--saturation", "censor", "--loss", "huber"], "censor goes with white noise"),
+    "slip window": (["--slip-window", "1.5"], "slip window: expected 0 s to less than the window of 1.5 s"),
     "speed model": (["--speed-model", "falling"], "invalid choice: 'falling'"),
     "free and fixed": (
         ["--fix", "lean_rate_bias=0", "--free", "lean_rate_bias"],

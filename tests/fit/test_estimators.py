@@ -28,7 +28,7 @@ TRUTH = {
     "lean_rate_bias": 0.01,
     "yaw_rate_bias": -0.02,
 }
-SUBSETS = [subset for count in range(1, 7) for subset in combinations(LINEAR, count)]
+SUBSETS = [subset for count in range(1, 7) for subset in combinations((*INITIAL, *BIASES), count)]
 
 
 def made_window(
@@ -71,7 +71,7 @@ def made_window(
 
 
 def settings(free: tuple[str, ...], fixed: dict[str, float] | None = None) -> FitSettings:
-    return FitSettings(free=free, fixed=fixed or {})
+    return FitSettings(free=free, fixed=fixed or {}, noise="white")
 
 
 def assert_same(one: Estimate, other: Estimate, precision: float) -> None:
@@ -96,7 +96,9 @@ def test_every_estimator_is_exact_without_noise(estimator: str, bicycle: str) ->
 
 @pytest.mark.parametrize("estimator", ["least_squares", "kalman_rts"])
 def test_all_unknowns_at_once(estimator: str) -> None:
-    answer = ESTIMATORS[estimator](made_window(TRUTH, torque=True, delay=0.003), settings(LINEAR))
+    answer = ESTIMATORS[estimator](
+        made_window(TRUTH, torque=True, delay=0.003), settings((*INITIAL, *BIASES))
+    )
     assert answer.parameters == pytest.approx(TRUTH, abs=1e-7)
 
 
@@ -198,7 +200,7 @@ def test_smoothing_is_that_of_filterpy() -> None:
 
 def test_som2011_looks_at_the_lean_rate_only() -> None:
     window = made_window(TRUTH, noise=0.02)
-    answer = ESTIMATORS["som2011"](window, settings(LINEAR))
+    answer = ESTIMATORS["som2011"](window, settings((*INITIAL, *BIASES)))
     elsewhere = replace(window, yaw_rate=window.yaw_rate + 5.0)
     again = ESTIMATORS["som2011"](elsewhere, settings(("yaw_rate_bias",)))
     alone = least_squares.fit_window(

@@ -65,7 +65,7 @@ def test_it_is_the_minimum_over_all_parameters(
     window = made_window(TRUTH)
     fixed = {name: value for name, value in TRUTH.items() if name not in free}
     held = {name: prior for name, prior in priors.items() if name in free}
-    estimate = fit_window(window, FitSettings(free=free, fixed=fixed, priors=held))
+    estimate = fit_window(window, FitSettings(free=free, fixed=fixed, priors=held, noise="white"))
     assert (estimate.status, estimate.names) == ("ok", free)
     sigma = estimate.noise["noise_std"]
 
@@ -143,6 +143,34 @@ def test_a_speed_curve_is_followed() -> None:
     )
     np.testing.assert_allclose(by_curve.predicted, by_number.predicted, atol=1e-10)
     assert "speed as measured" in by_curve.message
+
+
+def test_a_slipping_wheel_is_left_out_or_found() -> None:
+    # For 0.2 s the yaw rate is off by an amount that fades.
+    truth = {"initial_lean_rate": 0.5, "speed": 3.6}
+    window = made_window(truth, noise=0.002)
+    off = -0.8 * np.maximum(1.0 - window.time / 0.2, 0.0)
+    slipping = replace(window, yaw_rate=window.yaw_rate + off)
+    free = ("initial_lean_rate",)
+    ignored = fit_window(slipping, FitSettings(free=free))
+    left_out = fit_window(slipping, FitSettings(free=free, slip_window=0.2))
+    found = fit_window(slipping, FitSettings(free=free, slip_window=0.2, slip="yaw_offset"))
+    assert abs(ignored.values[0] - 0.5) > 5.0 * ignored.std[0] or ignored.residual_std > 0.05
+    assert abs(left_out.values[0] - 0.5) < 4.0 * left_out.std[0]
+    assert "without the first 0.2 s" in left_out.message
+    assert found.parameters["slip_yaw_rate"] == pytest.approx(-0.8, abs=4.0 * found.std[1])
+    assert found.parameters["initial_lean_rate"] == pytest.approx(0.5, abs=4.0 * found.std[0])
+
+
+def test_a_falling_speed_that_nobody_measured_is_found_in_a_long_run() -> None:
+    truth = {"initial_lean_rate": 0.5, "speed": 3.6, "rolling_resistance": 0.06}
+    falling = fit_window(made_window(truth, count=300), FitSettings())
+    constant = fit_window(made_window({**truth, "rolling_resistance": 0.0}, count=300), FitSettings())
+    assert {"speed", "rolling_resistance"} <= set(falling.names)
+    assert "a constant speed is far less likely" in falling.message
+    low, high = falling.ci95[falling.names.index("rolling_resistance")]
+    assert low < 0.06 < high
+    assert "speed" not in constant.names
 
 
 def test_what_shapes_nothing_is_not_observable() -> None:

@@ -14,9 +14,19 @@ from tms_model.command_line import Parser, print_json, run
 
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.joint_commands import add_arguments, print_calibration, print_together
+from tms_fit.losses import LOSSES
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
-from tms_fit.settings import DEFAULT_FREE, PARAMETERS, SPEED_MODELS, STEER_TORQUES, FitSettings
+from tms_fit.settings import (
+    DEFAULT_FREE,
+    NOISE_MODELS,
+    PARAMETERS,
+    SATURATIONS,
+    SLIPS,
+    SPEED_MODELS,
+    STEER_TORQUES,
+    FitSettings,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -79,6 +89,7 @@ def _parser() -> Parser:
             help="may be repeated (default: least_squares, kalman_rts)",
         )
         _add_fit_arguments(command)
+        _add_noise_arguments(command)
         command.add_argument("--imu-topic", help="topic of type sensor_msgs/msg/Imu")
         command.add_argument("--speed-topic", help="topic of type geometry_msgs/msg/TwistStamped")
         command.add_argument("--steer-torque-topic", help="topic of type tms_msgs/msg/SteerTorque")
@@ -171,6 +182,50 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
+    """What the noise is like, and which samples are not to be trusted."""
+    command.add_argument(
+        "--noise",
+        choices=NOISE_MODELS,
+        default=FitSettings.noise,
+        help="white; autoregressive, as intervals need when neighbouring residuals are alike; or auto: the"
+        " second when they are (default %(default)s)",
+    )
+    command.add_argument(
+        "--loss",
+        choices=LOSSES,
+        default=FitSettings.loss,
+        help="huber and student_t are not moved by outliers (default %(default)s)",
+    )
+    command.add_argument(
+        "--gyroscope-range",
+        type=float,
+        metavar="RATE",
+        help="[rad/s] at which the gyroscopes saturate (default: samples are taken as they are)",
+    )
+    command.add_argument(
+        "--saturation",
+        choices=SATURATIONS,
+        default=FitSettings.saturation,
+        help="saturated samples are left out, taken as at least that large, or used as they are"
+        " (default %(default)s)",
+    )
+    command.add_argument(
+        "--slip-window",
+        type=float,
+        default=FitSettings.slip_window,
+        metavar="S",
+        help="time after the strike in which the front wheel slips [s] (default %(default)s)",
+    )
+    command.add_argument(
+        "--slip",
+        choices=SLIPS,
+        default=FitSettings.slip,
+        help="leave that time out, or find an offset of the yaw rate that fades over it"
+        " (default %(default)s)",
+    )
+
+
 def _fit(
     arguments: argparse.Namespace, estimators: tuple[str, ...], strike_times: tuple[float, ...] = ()
 ) -> RecordingFit:
@@ -183,6 +238,12 @@ def _fit(
         speed_model=arguments.speed_model,
         resistance=arguments.resistance,
         channels=arguments.channels,
+        noise=arguments.noise,
+        loss=arguments.loss,
+        gyroscope_range=arguments.gyroscope_range,
+        saturation=arguments.saturation,
+        slip_window=arguments.slip_window,
+        slip=arguments.slip,
         estimators=estimators,
     )
     recording = read_recording(

@@ -8,33 +8,30 @@ from dataclasses import replace
 import numpy as np
 from tms_model.bicycle import Array
 
+from tms_fit.alternation import Fitted
+from tms_fit.censoring import log_probability
+from tms_fit.choices import Choice
 from tms_fit.estimate import Estimate
 from tms_fit.motion import known_values
 from tms_fit.noise import Noise
+from tms_fit.noise.white import White
 from tms_fit.nuisance import nuisance_covariance
-from tms_fit.projection import Problem, Solution
+from tms_fit.projection import Problem
 from tms_fit.settings import CHANNELS, FitSettings
-from tms_fit.window import Window
+from tms_fit.window import Window, without_saturated
 
 LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns
 LEAST_SPAN = 0.25  # [s]
 COLOURED = 0.3  # lag-one autocorrelation of the residuals above which they are called coloured
 
 
-def answer(
-    name: str,
-    words: str,
-    problem: Problem,
-    solution: Solution,
-    noise: Noise,
-    noise_model: str,
-    settings: FitSettings,
-) -> Estimate:
-    """The estimate that a solution amounts to; `words` say by what method.
+def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> Estimate:
+    """The estimate that a solution amounts to, under an estimator's name.
 
     The covariance holds the uncertainty of the speed, and of the strike's instant between two samples, where
     the window states them.
     """
+    problem, solution, noise = choice.problem, fitted.solution, fitted.noise
     if solution.status == "not_observable":
         return Estimate(name, solution.status, solution.message, settings=settings)
     covariance = solution.inverse
@@ -45,11 +42,10 @@ def answer(
     covariance = covariance + nuisance_covariance(problem, solution, noise.rows)
     predicted = problem.predicted(solution.values)
     residual = window.measured - predicted
-    count = int(np.isfinite(residual).sum())
+    innovations = noise.innovations(residual)
+    autocorrelation = lag_one_autocorrelation(innovations)
     degrees = degrees_of_freedom(problem)
-    autocorrelation = lag_one_autocorrelation(noise.innovations(residual))
-    used = " and ".join(_measured_channels(window))
-    text = f"{words} on {used} over {window.time[-1]:.2f} s{_caution(autocorrelation)}"
+    text = _in_words(choice, fitted, settings, autocorrelation)
     return Estimate(
         estimator=name,
         status=solution.status,
@@ -59,17 +55,17 @@ def answer(
         covariance=covariance,
         degrees_of_freedom=degrees,
         residual_std=math.sqrt(float(np.nansum(residual**2)) / max(degrees, 1)),
-        vaf=variance_accounted_for(window, predicted),
-        sample_count=count,
+        vaf=variance_accounted_for(without_saturated(window), predicted),
+        sample_count=int(np.isfinite(residual).sum()),
         residual_autocorrelation=autocorrelation,
         known={**_known(problem), **problem.known},
         predicted=predicted,
         residual=residual,
-        whitened=noise.innovations(residual),
+        whitened=innovations,
         jacobian=solution.channels,
         noise=noise.parameters,
-        noise_model=noise_model,
-        log_likelihood=_log_likelihood(noise, residual),
+        noise_model=fitted.noise_model,
+        log_likelihood=_log_likelihood(noise, window, predicted),
         unknown_count=len(problem.names) + len(noise.parameters),
         settings=settings,
     )
@@ -130,8 +126,11 @@ def lag_one_autocorrelation(residual: Array) -> float:
     return worst
 
 
-def _log_likelihood(noise: Noise, residual: Array) -> float:
+def _log_likelihood(noise: Noise, window: Window, predicted: Array) -> float:
     """Of the samples at the solution, with the noise's variance at its own maximum."""
+    if window.saturated is not None and isinstance(noise, White):
+        return _censored_log_likelihood(noise.std, window, predicted)
+    residual = window.measured - predicted
     rows = noise.rows(residual)
     count = int(np.isfinite(residual).sum())
     squares = float(rows @ rows)
@@ -142,20 +141,38 @@ def _log_likelihood(noise: Noise, residual: Array) -> float:
     )
 
 
+def _censored_log_likelihood(std: float, window: Window, predicted: Array) -> float:
+    """Tobit's: of a saturated sample only the probability to lie beyond its limit is known."""
+    assert window.saturated is not None
+    at_limit = window.saturated != 0.0
+    u = ((window.measured - predicted) / std)[~at_limit & np.isfinite(window.measured)]
+    beyond = log_probability(window.measured[at_limit], window.saturated[at_limit], predicted[at_limit], std)
+    return float(np.sum(-0.5 * u**2 - 0.5 * math.log(2.0 * math.pi) - math.log(std)) + np.sum(beyond))
+
+
 def _known(problem: Problem) -> dict[str, float]:
     """Values of the window that the prediction used and that were not free."""
     known = known_values(problem.window)
     return {name: value for name, value in known.items() if name not in problem.names}
 
 
-def _caution(autocorrelation: float) -> str:
-    """What to add to the message when the residuals are not white."""
-    if not autocorrelation > COLOURED:
-        return ""
-    return (
-        f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
-        " something and the interval is too narrow"
-    )
+def _in_words(choice: Choice, fitted: Fitted, settings: FitSettings, autocorrelation: float) -> str:
+    """What was done, and what deserves distrust."""
+    window = choice.problem.window
+    method = "least squares" if choice.problem.nonlinear else "linear least squares"
+    if settings.loss != "squares":
+        method = {"huber": "Huber's loss", "student_t": "Student's t loss"}[settings.loss]
+    used = " and ".join(_measured_channels(window))
+    text = f"{method} on {used} over {window.time[-1]:.2f} s{choice.words}"
+    if fitted.noise_model == "ar":
+        why = "neighbouring residuals are alike, so " if settings.noise == "auto" else ""
+        text += f"; {why}the noise is taken as autoregressive, and the interval with it"
+    elif autocorrelation > COLOURED:
+        text += (
+            f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
+            " something and the interval is too narrow"
+        )
+    return text
 
 
 def _measured_channels(window: Window) -> list[str]:

@@ -68,7 +68,7 @@ def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) 
     moved = -jacobian.T @ direct
     count = len(problem.linear)
     moved[:count] += rows(change.select(problem.linear)).T @ solution.rows[: len(direct)]
-    shift: Array = solution.inverse @ moved
+    shift: Array = solution.of_rows @ moved
     return shift
 
 

@@ -16,7 +16,7 @@ from tms_model.response import LEAN_RATE
 
 from tms_fit.estimate import Estimate
 from tms_fit.motion import Motion, known_values, motion
-from tms_fit.settings import BIASES, INITIAL, LINEAR
+from tms_fit.settings import BIASES, INITIAL, LINEAR, SLIP
 from tms_fit.window import Window
 
 STEPS = {  # of the differences; the speed's is per m/s
@@ -32,7 +32,7 @@ STEPS = {  # of the differences; the speed's is per m/s
 class Predictor:
     """Channels of a window as `columns @ parameters + forced`, parameters in the order of LINEAR."""
 
-    columns: Array  # (n, 2, 6)
+    columns: Array  # (n, 2, 7)
     forced: Array  # (n, 2) [rad/s], by the known steer torque
 
     def select(self, names: tuple[str, ...]) -> Array:
@@ -61,6 +61,9 @@ def predictor(window: Window, nonlinear: Mapping[str, float] | None = None) -> P
         columns, forced = _seen_by(pitch, columns), _seen_by(pitch, forced)
     for channel in range(len(BIASES)):
         columns[:, channel, len(INITIAL) + channel] = 1.0
+    if window.slip_window:
+        since = window.time - values.get("strike_time", -window.delay)
+        columns[:, 1, LINEAR.index(SLIP)] = np.maximum(1.0 - since / window.slip_window, 0.0)
     return Predictor(columns, forced)
 
 

@@ -72,10 +72,16 @@ class Solution:
     channels: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p), the same per sample
     rows: Array = field(default_factory=lambda: np.empty(0))  # (m,) residual rows
     steps: int = 0
+    covariance: Array | None = None  # (p, p), where it is not that of the rows
 
     @property
     def inverse(self) -> Array:
-        """Covariance (p, p) if the rows have unit variance."""
+        """Covariance (p, p): what was found otherwise, else that of rows of unit variance."""
+        return self.of_rows if self.covariance is None else self.covariance
+
+    @property
+    def of_rows(self) -> Array:
+        """Inverse (p, p) of J'J."""
         scale = np.linalg.norm(self.jacobian, axis=0)
         scaled = self.jacobian / scale
         inverse: Array = np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale)

@@ -10,12 +10,15 @@ from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES, Resistance
 from tms_model.response import STATE
 
+from tms_fit.losses import LOSSES
+
 INITIAL = tuple(
     f"initial_{name}" for name in STATE
 )  # initial_lean, initial_steer, initial_lean_rate, initial_steer_rate
 BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
 CHANNELS = ("lean_rate", "yaw_rate")
-LINEAR = (*INITIAL, *BIASES)
+SLIP = "slip_yaw_rate"  # [rad/s] at the start, falling to zero in a straight line over the slip window
+LINEAR = (*INITIAL, *BIASES, SLIP)
 NONLINEAR = (
     "speed",  # [m/s] at the start of the free response
     "rolling_resistance",  # C_r [-]: the speed falls by C_r g per second
@@ -28,6 +31,9 @@ DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
 
 STEER_TORQUES = ("auto", "feedback", "input", "ignore")
 SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
+NOISE_MODELS = ("auto", "white", "ar")
+SATURATIONS = ("drop", "censor", "use")
+SLIPS = ("leave_out", "yaw_offset")
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,12 @@ class FitSettings:
     speed_model: str = "auto"  # how the speed goes on after the strike, of SPEED_MODELS
     resistance: Resistance = "rolling"  # by what a speed that changes is changed, of RESISTANCES
     channels: tuple[str, ...] = CHANNELS  # compared with the model
+    noise: str = "auto"  # of NOISE_MODELS; auto: white, unless residuals are alike
+    loss: str = "squares"  # how much a residual counts, of LOSSES
+    gyroscope_range: float | None = None  # [rad/s], at which a reading is saturated; None: none is
+    saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
+    slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
+    slip: str = "leave_out"  # what is done with that time, of SLIPS
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
     @property
@@ -64,6 +76,10 @@ class FitSettings:
         check_known((self.speed_model,), SPEED_MODELS, "speed model")
         check_known((self.resistance,), RESISTANCES, "resistance")
         check_known(self.channels, CHANNELS, "channels")
+        check_known((self.noise,), NOISE_MODELS, "noise")
+        check_known((self.loss,), LOSSES, "loss")
+        check_known((self.saturation,), SATURATIONS, "saturation")
+        check_known((self.slip,), SLIPS, "slip")
         if not self.channels:
             raise ParameterError(f"channels: expected at least one of {', '.join(CHANNELS)}, found none")
         self._check_free()
@@ -73,9 +89,27 @@ class FitSettings:
                 raise ParameterError(f"{name}: expected {wanted}, found {value:g}")
         if not 0.3 <= self.window <= 60.0:
             raise ParameterError(f"window: expected 0.3 to 60 s, found {self.window:g}")
+        if not 0.0 <= self.slip_window < self.window:
+            raise ParameterError(
+                f"slip window: expected 0 s to less than the window of {self.window:g} s, found"
+                f" {self.slip_window:g}"
+            )
+        self._check_saturation()
         if not (math.isfinite(self.gyroscope_noise) and self.gyroscope_noise > 0.0):
             raise ParameterError(
                 f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"
+            )
+
+    def _check_saturation(self) -> None:
+        """A range is positive; censoring needs one, and white noise under squares."""
+        if self.gyroscope_range is not None and not self.gyroscope_range > 0.0:
+            raise ParameterError(
+                f"gyroscope range: expected a positive number of rad/s, found {self.gyroscope_range:g}"
+            )
+        if self.saturation == "censor" and (self.noise == "ar" or self.loss != "squares"):
+            raise ParameterError(
+                f"saturation: censor goes with white noise and squares, found noise {self.noise} and loss"
+                f" {self.loss}; use drop"
             )
 
     def _check_free(self) -> None:

@@ -24,6 +24,7 @@ class SpeedCurve:
 
     coefficients: Array  # (k,)
     covariance: Array  # (k, k)
+    measured: bool = False  # by a sensor in this run
 
     @property
     def constant(self) -> bool:
@@ -40,9 +41,9 @@ class SpeedCurve:
         return np.polynomial.polynomial.polyval(np.asarray(time, dtype=float), self.coefficients)
 
 
-def constant_speed(speed: float, std: float = 0.0) -> SpeedCurve:
+def constant_speed(speed: float, std: float = 0.0, measured: bool = False) -> SpeedCurve:
     """A speed [m/s] that does not change."""
-    return SpeedCurve(np.array([speed]), np.array([[std**2]]))
+    return SpeedCurve(np.array([speed]), np.array([[std**2]]), measured)
 
 
 def speed_curve(time: Array, speed: Array, model: str) -> SpeedCurve:
@@ -60,7 +61,7 @@ def speed_curve(time: Array, speed: Array, model: str) -> SpeedCurve:
         if model == "measured" or _changes(curves[0][1], float(np.ptp(time))):
             return chosen
     std = MEDIAN * float(np.std(speed, ddof=1)) / math.sqrt(len(speed)) if len(speed) > 1 else 0.0
-    return constant_speed(float(np.median(speed)), std)
+    return constant_speed(float(np.median(speed)), std, measured=True)
 
 
 def _changes(line: SpeedCurve, span: float) -> bool:
@@ -90,4 +91,6 @@ def _polynomial(time: Array, speed: Array, degree: int) -> tuple[float, SpeedCur
     variance = squares / max(count - degree - 1, 1)
     covariance = np.asarray(variance * np.linalg.inv(matrix.T @ matrix), dtype=np.float64)
     penalty = 2.0 * unknowns + 2.0 * unknowns * (unknowns + 1) / max(count - unknowns - 1, 1)
-    return count * math.log(max(squares, 1e-300) / count) + penalty, SpeedCurve(coefficients, covariance)
+    return count * math.log(max(squares, 1e-300) / count) + penalty, SpeedCurve(
+        coefficients, covariance, True
+    )

@@ -11,6 +11,7 @@ from tms_model.acceleration import Resistance
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 
+from tms_fit.censoring import saturated
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve
 
@@ -40,6 +41,8 @@ class Window:
     delay_std: float = 0.0  # [s]
     longest_delay: float = 0.05  # [s]
     resistance: Resistance = "rolling"  # by what the speed changes
+    saturated: Array | None = None  # (n, 2) sign of the sensor's limit that a sample stands at, else 0
+    slip_window: float = 0.0  # [s] from the start on, in which the front wheel slips and the yaw rate is off
 
     @property
     def start_ns(self) -> int:
@@ -95,6 +98,26 @@ def make_window(
         lean_rate_gain=gain,
         torque_r2=r2,
         resistance=settings.resistance,
+        saturated=_saturated(angular_velocity, settings),
+    )
+
+
+def _saturated(angular_velocity: Array, settings: FitSettings) -> Array | None:
+    if settings.gyroscope_range is None or settings.saturation == "use":
+        return None
+    return saturated(angular_velocity[:, [0, 2]], settings.gyroscope_range)
+
+
+def without_saturated(window: Window) -> Window:
+    """The same window with its saturated samples as if they had not been measured."""
+    if window.saturated is None:
+        return window
+    kept = window.saturated == 0.0
+    return replace(
+        window,
+        lean_rate=np.where(kept[:, 0], window.lean_rate, np.nan),
+        yaw_rate=np.where(kept[:, 1], window.yaw_rate, np.nan),
+        saturated=None,
     )
 
 

@@ -29,7 +29,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_choice
 from tms_fit.motion import Motion, motion
 from tms_fit.projection import Problem
-from tms_fit.settings import BIASES, INITIAL, NONLINEAR, FitSettings
+from tms_fit.settings import BIASES, INITIAL, NONLINEAR, SLIP, FitSettings
 from tms_fit.window import Window
 
 PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give
@@ -37,11 +37,12 @@ PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error
 
 def estimate(window: Window, settings: FitSettings) -> Estimate:
     """Smoothed initial state and biases; for NONLINEAR parameters the values of least squares."""
+    settings = replace(settings, noise="white", loss="squares", saturation="drop")
     choice = choose(window, settings)
-    if not choice.problem.linear or choice.problem.priors:
+    if not choice.problem.linear or choice.problem.priors or SLIP in choice.free:
         return replace(
             fit_choice("kalman_rts", choice, settings),
-            message="priors or no linear parameter: least squares instead of a smoother",
+            message="priors, slip, or no linear parameter: least squares instead of a smoother",
         )
     squares = fit_choice("kalman_rts", choice, settings)
     if squares.status != "ok":

@@ -9,20 +9,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-from tms_model.bicycle import Array
-
+from tms_fit.alternation import fit_problem
 from tms_fit.answer import answer, in_order, too_short
-from tms_fit.choices import Choice, choose
+from tms_fit.choices import Choice, choose, decelerating
 from tms_fit.estimate import Estimate
-from tms_fit.noise import NOISES, Noise
-from tms_fit.prediction import derivative
-from tms_fit.projection import Problem, Solution, solve
-from tms_fit.settings import NONLINEAR, FitSettings
+from tms_fit.losses import Loss
+from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 
-ROUNDS = 20  # at most, of noise and parameters in turn
-SETTLED = 1e-3  # change of the parameters, in standard errors, that ends the rounds
+CERTAIN = 20.0  # by which a falling speed must lower BIC to be believed where none was measured
 
 
 def fit_window(window: Window, settings: FitSettings) -> Estimate:
@@ -31,7 +26,13 @@ def fit_window(window: Window, settings: FitSettings) -> Estimate:
     Never raises for what a recording holds: an answer that can't be given is one with another status.
     """
     choice = choose(window, settings)
-    return in_order(fit_choice("least_squares", choice, settings), choice.free)
+    estimate = fit_choice("least_squares", choice, settings)
+    falling = decelerating(choice, settings)
+    if falling is not None and estimate.status == "ok":
+        other = fit_choice("least_squares", falling, settings)
+        if other.status == "ok" and other.bic < estimate.bic - CERTAIN:
+            return in_order(other, falling.free)
+    return in_order(estimate, choice.free)
 
 
 def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
@@ -39,44 +40,8 @@ def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
     reason = too_short(choice.problem)
     if reason:
         return Estimate(name, "too_short", reason, settings=settings)
-    solution, noise = solve_with_noise(choice.problem)
-    words = "linear least squares" if not choice.problem.nonlinear else "least squares"
-    return answer(name, words + choice.words, choice.problem, solution, noise, "white", settings)
-
-
-def solve_with_noise(problem: Problem) -> tuple[Solution, Noise]:
-    """Parameters and noise, each in the light of the other."""
-    model = NOISES["white"]
-    empty = np.zeros((*problem.window.measured.shape, len(problem.names)))
-    noise = model(problem.window.measured, empty)
-    solution = solve(problem, noise.rows)
-    for _ in range(ROUNDS):
-        if solution.status == "not_observable":
-            break
-        residual = problem.window.measured - problem.predicted(solution.values)
-        before, noise = solution, model(residual, _fitted(problem, solution))
-        solution = solve(problem, noise.rows, before.values[len(problem.linear) :])
-        if not problem.priors or _same(before, solution):
-            break
-    return solution, noise
-
-
-def _fitted(problem: Problem, solution: Solution) -> Array:
-    """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
-    if not problem.window.delay_std or "strike_time" in {*problem.names, *problem.known}:
-        return solution.channels
-    values = problem.values(solution.values)
-    nonlinear = {name: value for name, value in values.items() if name in NONLINEAR}
-    by_start = derivative(problem.window, nonlinear, "strike_time").predict(values)
-    return np.concatenate([solution.channels, by_start[:, :, None]], axis=2)
-
-
-def _same(before: Solution, after: Solution) -> bool:
-    """Whether two solutions are one, as far as anybody can tell."""
-    if "not_observable" in (before.status, after.status):
-        return True
-    std = np.sqrt(np.diag(after.inverse))
-    return bool((np.abs(after.values - before.values) <= SETTLED * std).all())
+    fitted = fit_problem(choice.problem, choice.noise, Loss(settings.loss))
+    return answer(name, choice, fitted, settings)
 
 
 def refine_start(window: Window, settings: FitSettings, longest_delay: float) -> Window:
@@ -90,7 +55,7 @@ def refine_start(window: Window, settings: FitSettings, longest_delay: float) ->
     if "strike_time" in {*problem.names, *problem.known} or too_short(problem):
         return window
     joint = replace(problem, nonlinear=(*problem.nonlinear, "strike_time"))
-    solution, _ = solve_with_noise(joint)
+    solution = fit_problem(joint, "white", Loss(settings.loss)).solution
     if solution.status != "ok":
         return window
     uniform = longest_delay / math.sqrt(12.0)

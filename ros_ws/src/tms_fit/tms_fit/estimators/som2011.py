@@ -21,7 +21,14 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
     kept = (*LINEAR, "speed", "lean_rate_gain")
     fixed = {k: v for k, v in settings.fixed.items() if k in kept and k not in FREE}
     plain = replace(
-        settings, free=FREE, fixed=fixed, priors={}, channels=("lean_rate",), speed_model="constant"
+        settings,
+        free=FREE,
+        fixed=fixed,
+        priors={},
+        channels=("lean_rate",),
+        speed_model="constant",
+        noise="white",
+        loss="squares",
     )
     answer = fit_choice("som2011", choose(constant, plain), plain)
     return replace(answer, message=answer.message.replace("linear least squares", "least squares as in 2011"))

@@ -1,8 +1,8 @@
 """Models of the measurement noise by name. A new one: one file here and one line below.
 
-Each is a function (residual, jacobian) -> Noise: it estimates its own parameters from the residuals (n, 2) of
-a fit [rad/s], NaN where nothing was measured, and from the derivatives (n, 2, p) of the prediction by what
-was fitted, by which residuals are smaller than the noise that they stand for.
+Each is a function (time, residual, jacobian) -> Noise: it estimates its own parameters from the residuals
+(n, 2) of a fit [rad/s] at times (n,) [s], NaN where nothing was measured, and from the derivatives (n, 2, p)
+of the prediction by what was fitted, by which residuals are smaller than the noise that they stand for.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Protocol
 
 from tms_model.bicycle import Array
 
-from tms_fit.noise import white
+from tms_fit.noise import autoregressive, white
 
 
 class Noise(Protocol):
@@ -33,8 +33,9 @@ class Noise(Protocol):
         """Residuals (n, 2) made white, of variance one; NaN where nothing was measured."""
 
 
-NoiseModel = Callable[[Array, Array], Noise]
+NoiseModel = Callable[[Array, Array, Array], Noise]
 
 NOISES: dict[str, NoiseModel] = {
     "white": white.fit,
+    "ar": autoregressive.fit,
 }

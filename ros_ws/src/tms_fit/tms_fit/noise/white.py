@@ -37,7 +37,7 @@ class White:
         return np.where(self.good, residual, np.nan) / (self.std or 1.0)
 
 
-def fit(residual: Array, jacobian: Array) -> White:
+def fit(time: Array, residual: Array, jacobian: Array) -> White:
     """The standard deviation that residuals (n, 2) show, for as many unknowns as jacobian (n, 2, p) has."""
     good = np.isfinite(residual)
     degrees = max(int(good.sum()) - jacobian.shape[2], 1)
