@@ -105,7 +105,7 @@ def solve(problem: Problem, rows: Rows, start: Array | None = None) -> Solution:
     start: nonlinear values (q,) to begin with; None: the priors' means, or what the window knows.
     """
     try:
-        point = _at(problem, rows, _first(problem) if start is None else start)
+        point = _at(problem, rows, starting_values(problem) if start is None else start)
         if point is None:
             return _unobservable(problem)
         return _descend(problem, rows, point)
@@ -172,7 +172,7 @@ def _step(
     return change[count:], bool(small.all())
 
 
-def _first(problem: Problem) -> Array:
+def starting_values(problem: Problem) -> Array:
     """Where to begin with the nonlinear parameters."""
     window = problem.window
     known = known_values(window)

@@ -1,0 +1,190 @@
+"""How fast strikes are fitted, against scipy and lmfit in the same run. See benchmarks/README.md."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+from measure import in_turn, print_machine, print_timings
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from tms_fit.batch import fit_batch
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.prediction import predictor
+from tms_fit.projection import Problem
+from tms_fit.settings import FitSettings
+from tms_fit.speed_curve import constant_speed
+from tms_fit.table import Table, tabulate
+from tms_fit.window import Window
+from tms_model import linear_system, load_bicycle
+from tms_model.exponential import expm
+
+try:
+    import lmfit
+except ImportError:
+    sys.exit("benchmarks/estimation.py needs lmfit: pip install lmfit")
+
+Array = NDArray[np.float64]
+BICYCLE = load_bicycle("tms_eq_10_1")
+TRUTH = {"initial_lean_rate": 0.5, "speed": 3.6}
+FIRST = np.array([0.4, 3.5])  # where the peers begin: lean rate [rad/s], speed [m/s]
+NOISE = 0.02  # [rad/s]
+NAIVE, HOISTED, LMFIT = (
+    "scipy, solve_ivp in the residual",
+    "scipy, hoisted, errors as ours",
+    "lmfit, exact model",
+)
+ONE, WINDOW = "tms_fit, one run by table", "tms_fit, fit_window"
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="few repeats and small sizes: does it run?")
+    quick = parser.parse_args().quick
+    samples, repeats, runs = (100, 3, 200) if quick else (400, 21, 10_000)
+    print_machine(("numpy", "scipy", "lmfit"))
+    print(f"initial lean rate and speed from {samples} samples of two channels; medians of {repeats} repeats")
+    window = clean_window(samples)
+    clean, rng = window.measured, np.random.default_rng(1)
+    start = time.perf_counter()
+    table = tabulate(Problem(window, ("initial_lean_rate",), ("speed",)), {"speed": (3.0, 4.2)})
+    built = 1e3 * (time.perf_counter() - start)
+    print(
+        f"table for 3 to 4.2 m/s, made once per bicycle and sampling: {built:.0f} ms,"
+        f" {table.orders[0]} terms, {table.rank} dimensions, error {table.error:.0e} of the largest rate"
+    )
+    measured = clean + NOISE * rng.standard_normal((runs, samples, 2))
+    compare(window, table, measured, repeats)
+    print_agreement(window, table, measured[0])
+    print_growth(table, clean, rng, (100, 1000) if quick else (10_000, 100_000, 1_000_000))
+
+
+def compare(window: Window, table: Table, measured: Array, repeats: int) -> None:
+    """One run by each way, and many by ours."""
+    time_s, one = window.time, measured[0]
+    noisy = replace(window, lean_rate=one[:, 0], yaw_rate=one[:, 1])
+    settings = FitSettings(free=("initial_lean_rate", "speed"), noise="white")
+    batch = f"tms_fit, {len(measured)} runs at once"
+    start = FIRST[1:]
+    timings = in_turn(
+        {
+            NAIVE: lambda: by_scipy(time_s, one),
+            HOISTED: lambda: by_hoisted_scipy(time_s, one),
+            LMFIT: lambda: by_lmfit(time_s, one),
+            WINDOW: lambda: fit_window(noisy, settings),
+            ONE: lambda: fit_batch(table, measured[:1], start),
+            batch: lambda: fit_batch(table, measured, start),
+        },
+        repeats,
+    )
+    print_timings("initial lean rate and speed", timings, NAIVE)
+    per_run = timings[batch].median / len(measured)
+    print(f"  per run of the batch {1e6 * per_run:.2f} us", end="")
+    for name in (NAIVE, HOISTED, LMFIT):
+        print(f", {timings[name].median / per_run:.0f} times faster than {name.split(',')[0]}", end="")
+        print(" hoisted" if name == HOISTED else "", end="")
+    print()
+
+
+def print_agreement(window: Window, table: Table, measured: Array) -> None:
+    """By how much the ways differ, in standard errors."""
+    settings = FitSettings(free=("initial_lean_rate", "speed"), noise="white")
+    best = fit_window(replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]), settings)
+    found = {
+        NAIVE: by_scipy(window.time, measured),
+        HOISTED: by_hoisted_scipy(window.time, measured),
+        LMFIT: by_lmfit(window.time, measured),
+        ONE: fit_batch(table, measured[None], FIRST[1:]).values[0],
+    }
+    print("\nlargest difference to fit_window, in standard errors")
+    for name, values in found.items():
+        print(f"  {name:44} {np.abs((values - best.values) / best.std).max():.1e}")
+
+
+def print_growth(table: Table, clean: Array, rng: np.random.Generator, counts: tuple[int, ...]) -> None:
+    """Cost per fit and memory, runs made and fitted 10,000 at a time."""
+    print("\nmany fits, 10,000 at a time")
+    noise = NOISE * rng.standard_normal((min(10_000, counts[0]), *clean.shape))
+    for count in counts:
+        spent = 0.0
+        for k in range(0, count, len(noise)):
+            measured = clean + np.roll(noise, k // len(noise), axis=1)
+            start = time.perf_counter()
+            fit_batch(table, measured)
+            spent += time.perf_counter() - start
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"  {count:9d} fits {1e6 * spent / count:8.2f} us each, at most {peak:.0f} MiB of memory so far"
+        )
+
+
+def clean_window(count: int) -> Window:
+    """A strike without noise, 100 samples a second."""
+    absent = np.full(count, np.nan)
+    window = Window(0, np.arange(count) / 100.0, absent, absent, BICYCLE, constant_speed(TRUTH["speed"]))
+    rates = predictor(window).predict(TRUTH)
+    return replace(window, lean_rate=rates[:, 0], yaw_rate=rates[:, 1])
+
+
+def by_scipy(time_s: Array, measured: Array) -> Array:
+    """As most would write it: matrices and integration in the residual, tolerances a little tightened."""
+
+    def residual(values: Array) -> Array:
+        lean_rate, speed = values
+        damping = speed * BICYCLE.damping
+        stiffness = BICYCLE.gravity * BICYCLE.stiffness0 + speed**2 * BICYCLE.stiffness2
+
+        def slope(_: float, state: Array) -> Array:
+            acceleration = np.linalg.solve(BICYCLE.mass, -damping @ state[2:] - stiffness @ state[:2])
+            return np.concatenate([state[2:], acceleration])
+
+        start = np.array([0.0, 0.0, lean_rate, 0.0])
+        found = solve_ivp(slope, (0.0, time_s[-1]), start, t_eval=time_s, rtol=1e-6, atol=1e-9).y
+        turn = np.cos(BICYCLE.steer_axis_tilt) / BICYCLE.wheelbase
+        yaw_rate = turn * (speed * found[1] + BICYCLE.trail * found[3])
+        return np.concatenate([found[2] - measured[:, 0], yaw_rate - measured[:, 1]])
+
+    return np.asarray(least_squares(residual, FIRST).x)
+
+
+def by_hoisted_scipy(time_s: Array, measured: Array) -> Array:
+    """One matrix per residual, an integrator of high order, errors of the prediction about 1e-9 as ours."""
+    target = measured.T.ravel()
+
+    def residual(values: Array) -> Array:
+        system = linear_system(BICYCLE, values[1])
+        a = system.a
+        start = np.array([0.0, 0.0, values[0], 0.0])
+        found = solve_ivp(
+            lambda _, x: a @ x, (0.0, time_s[-1]), start, "DOP853", t_eval=time_s, rtol=1e-8, atol=1e-10
+        ).y
+        return np.concatenate([found[2], system.yaw @ found]) - target
+
+    return np.asarray(least_squares(residual, FIRST, x_scale=(0.1, 1.0)).x)
+
+
+def by_lmfit(time_s: Array, measured: Array) -> Array:
+    """lmfit with the exact model: one matrix exponential, then products."""
+
+    def residual(parameters: lmfit.Parameters) -> Array:
+        system = linear_system(BICYCLE, parameters["speed"].value)
+        step = expm(system.a * time_s[1])
+        states = np.empty((len(time_s), 4))
+        states[0] = [0.0, 0.0, parameters["lean_rate"].value, 0.0]
+        for k in range(1, len(time_s)):
+            states[k] = step @ states[k - 1]
+        return np.concatenate([states[:, 2] - measured[:, 0], states @ system.yaw - measured[:, 1]])
+
+    parameters = lmfit.create_params(lean_rate=FIRST[0], speed=FIRST[1])
+    found = lmfit.minimize(residual, parameters).params
+    return np.array([found["lean_rate"].value, found["speed"].value])
+
+
+if __name__ == "__main__":
+    main()
