@@ -95,17 +95,41 @@ def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
 
 def _channels(moved: Motion, steer_torque: Array | None) -> tuple[Array, Array]:
     """Lean and yaw rate (n, 2, 4) per initial state and (n, 2) by a known torque (n,) or None."""
-    states = np.zeros((len(moved.transitions), 4, 5))
-    state = np.eye(4, 5)
-    torque = None if steer_torque is None else np.nan_to_num(steer_torque)
-    for k, transition in enumerate(moved.transitions):
-        np.dot(transition, state, out=states[k])
-        state = states[k]
-        if torque is not None:
-            state[:, 4] += moved.torque_steps[k] * torque[max(k - 1, 0)]
+    states = _free(moved.transitions) if steer_torque is None else _forced(moved, np.nan_to_num(steer_torque))
     yaw = np.matmul(moved.yaw[:, None, :], states)[:, 0]
     both = np.stack([states[:, LEAN_RATE], yaw], axis=1)
     return both[:, :, :4], both[:, :, 4]
+
+
+def _free(transitions: Array) -> Array:
+    """States (n, 4, 5) per initial state, nothing acting: the last column is zero."""
+    count = len(transitions)
+    states = np.zeros((count, 4, 5))
+    if not count:
+        return states
+    states[0, :, :4] = transitions[0]
+    if count > 2 and (transitions[1:] == transitions[1]).all():
+        # Equal steps: what the first k samples are, the next k are after k steps more.
+        known, power = 1, transitions[1]
+        while known < count:
+            more = min(known, count - known)
+            np.matmul(power, states[:more], out=states[known : known + more])
+            known, power = known + more, power @ power
+        return states
+    for k in range(1, count):
+        np.dot(transitions[k], states[k - 1], out=states[k])
+    return states
+
+
+def _forced(moved: Motion, torque: Array) -> Array:
+    """States (n, 4, 5) per initial state, and in the last column by a known torque (n,)."""
+    states = np.zeros((len(moved.transitions), 4, 5))
+    state = np.eye(4, 5)
+    for k, transition in enumerate(moved.transitions):
+        np.dot(transition, state, out=states[k])
+        state = states[k]
+        state[:, 4] += moved.torque_steps[k] * torque[max(k - 1, 0)]
+    return states
 
 
 def _seen_by(pitch: float, rates: Array) -> Array:
