@@ -15,7 +15,7 @@ from tms_fit.answer import variance_accounted_for
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
 from tms_fit.projection import Problem
-from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, LINEAR, FitSettings
+from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, response, yaw_rate
@@ -143,7 +143,7 @@ def test_uncertain_start_widens_both_alike(free: tuple[str, ...]) -> None:
     assert wide.std[index] > plain.std[index]
 
 
-@pytest.mark.parametrize("free", [("initial_lean_rate",), INITIAL, LINEAR])
+@pytest.mark.parametrize("free", [("initial_lean_rate",), INITIAL, (*INITIAL, *BIASES)])
 def test_least_squares_by_other_means(free: tuple[str, ...]) -> None:
     # The textbook: columns from an integrator, normal equations, s^2 (A'A)^-1.
     window = made_window(TRUTH, noise=0.02)
