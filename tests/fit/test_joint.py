@@ -41,7 +41,7 @@ def window(
 
 def strike(one: Window, free: tuple[str, ...] = FREE, index: int = 1) -> Strike:
     """A window as `fit run` would hand it on."""
-    return Strike("run", index, 0.0, 0, one, fit_window(one, FitSettings(free=free)))
+    return Strike("run", index, 0.0, 0, one, fit_window(one, FitSettings(free=free, noise="white")))
 
 
 def values_of(lean_rate: float, bias: float = 0.03) -> dict[str, float]:

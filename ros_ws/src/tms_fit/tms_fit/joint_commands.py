@@ -158,6 +158,7 @@ def _fits(arguments: argparse.Namespace, free: tuple[str, ...] | None) -> list[R
         window=arguments.window,
         speed_model=arguments.speed_model,
         steer_torque=arguments.steer_torque,
+        noise="white",  # as in the fit of all together
         estimators=("least_squares",),
     )
     fits = []

@@ -29,6 +29,7 @@ from tms_fit.settings import CHANNELS
 
 PLACES = np.linspace(-4.0, 9.0, 21)  # of the grid, in standard errors from Burg's coefficient, in artanh
 RATIOS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
+CLEAR = 6.0  # fall of BIC from which on residuals are called coloured: once in 500 white channels
 LIMIT = 3.5  # largest artanh of a reflection coefficient: 0.998
 
 
@@ -103,9 +104,15 @@ def fit(time: Array, residual: Array, jacobian: Array) -> Autoregressive:
 
 
 def remembers(residual: Array) -> bool:
-    """Whether residuals (n, 2) of some channel are no white noise, by BIC."""
-    good = np.isfinite(residual)
-    return any(len(burg(residual[good[:, c], c])[0]) for c in range(2) if good[:, c].sum() > 2)
+    """Whether residuals (n, 2) of some channel are no white noise: BIC falls by more than CLEAR."""
+    for channel in residual.T:
+        values = channel[np.isfinite(channel)]
+        if len(values) > 2 and values.any():
+            reflections, std = burg(values)
+            fall = -len(values) * math.log(std**2 / float(np.mean(values**2)))
+            if fall - len(reflections) * math.log(len(values)) > CLEAR:
+                return True
+    return False
 
 
 def _family(places: NDArray[np.int_], residual: Array) -> tuple[ChannelNoise, ...]:
