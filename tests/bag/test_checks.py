@@ -352,7 +352,7 @@ def test_a_bag_that_was_cut_short_is_told(bag, tmp_path, command):
     found = json.loads(command(BAG, "check", path, "--json").out)["findings"]
     (finding,) = [finding for finding in found if finding["check"] == "unfinished"]
     assert "cut short" in finding["evidence"]
-    assert finding["command"] == f"./tms bag repair {path}"
+    assert finding["command"] == f"./tms bag repair {path} -o NEW"
 
 
 # Alignment

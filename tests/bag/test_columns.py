@@ -1,6 +1,7 @@
 """Messages as arrays say the same as rosbags, message by message, whatever the file looks like."""
 
 import dataclasses
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -335,3 +336,29 @@ def test_a_recording_of_a_killed_recorder_says_so(unfinished_bag, bag):
     assert "unfinished: its recorder was killed, or the copy is cut short" in warning
     assert "tms bag repair" in warning
     assert read_recording(bag).warnings == ()
+
+
+def test_a_bag_cut_before_its_first_messages_says_so(bag, tmp_path):
+    content = next(bag.glob("*.mcap")).read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(content[:9000])
+    with pytest.raises(RecordingError, match=r"the bag holds no topics.*; .*cut short; no message is here"):
+        read_recording(path)
+
+
+def test_the_fit_of_a_bag_cut_short_says_so(tmp_path, command):
+    """Messages in several chunks; the copy ends in the last of them."""
+    source = Path(__file__).resolve().parents[2] / "bags" / "tms_strike"
+    with BagReader(source) as bag:
+        messages = [(r.topic, r.type, r.time_ns, r.data) for r in bag.records()]
+    whole = write_mcap(tmp_path / "whole.mcap", messages, {"chunk_size": 100_000}, finish=False)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[: int(0.9 * whole.stat().st_size)])
+    answer = command("tms_fit", "run", path)
+    assert answer.code == 0
+    assert "warning: " in answer.out
+    assert "cut short" in answer.out
+    document = json.loads(command("tms_fit", "run", path, "--json").out)
+    assert "cut short" in document["warnings"][0]
+    assert json.loads(command("tms_fit", "run", whole.parent / "whole.mcap", "--json").out)["warnings"]
+    assert json.loads(command("tms_fit", "run", source, "--json").out)["warnings"] == []

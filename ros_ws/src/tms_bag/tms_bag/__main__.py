@@ -34,21 +34,28 @@ def _parser() -> Parser:
         " recorded, played.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    info = commands.add_parser("info", help="what a bag holds", description="What a bag or .mcap file holds.")
-    info.add_argument("bag", help="folder of a bag, or an .mcap file")
+    info = commands.add_parser("info", help="what a bag holds", description="What a bag holds.")
+    info.add_argument("bag", help="folder of a bag, or an .mcap or .db3 file")
     info.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
-    add_export(commands)
+    add_check(commands)
     add_import(commands)
+    add_export(commands)
     mend = commands.add_parser(
         "repair",
         help="a clean bag out of an unfinished or damaged one",
-        description="Writes what can be read of a bag as a clean one; keeps the original.",
+        description=(
+            "Writes what can be read of a bag as a clean MCAP bag of one file; keeps the original. With"
+            " -o also a bag"
+            " that needs no repair, for example an sqlite3 bag (.db3)."
+        ),
     )
-    mend.add_argument("bag", help="folder of a bag, or an .mcap file")
+    mend.add_argument("bag", help="folder of a bag, or an .mcap or .db3 file")
     mend.add_argument(
-        "-o", "--output", help="bag to write (default: in the place of BAG, kept as BAG.unrepaired)"
+        "-o",
+        "--output",
+        metavar="NEW",
+        help="bag to write (default: in the place of BAG, kept as BAG.unrepaired)",
     )
-    add_check(commands)
     add_record(commands)
     add_play(commands)
     return parser
@@ -64,6 +71,7 @@ def _info(arguments: argparse.Namespace) -> None:
                     "duration": duration,
                     "message_count": bag.message_count,
                     "topics": [topic._asdict() for topic in bag.topics],
+                    "warnings": list(bag.warnings),
                     "metadata": {**bag.custom_data, "complete": bag.complete, "start_ns": bag.start_ns},
                 }
             )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tms_bag import messages
+from tms_bag.errors import RecordingError
 from tms_bag.qos import Qos, from_yaml, to_yaml
 
 ENCODING = "cdr"  # the only serialisation that ROS 2 uses
@@ -43,3 +44,12 @@ def stored_channel(
     return Channel(
         name, type_name, qos, schema, schema_encoding, metadata.get("topic_type_hash", ""), encoding
     )
+
+
+def check_encoding(channel: Channel) -> None:
+    """RecordingError if the messages aren't serialised as ROS 2 does it."""
+    if channel.encoding != ENCODING:
+        raise RecordingError(
+            f"expected messages in ROS 2's encoding {ENCODING}, found {channel.encoding!r} on {channel.name};"
+            " choose topics without it"
+        )

@@ -36,7 +36,11 @@ def add_check(commands: Any) -> None:
     )
     flag = parser.add_argument
     flag("bag", help="folder of a bag, an .mcap or .db3 file, or with --mapping a CSV log")
-    flag("--mapping", help=f"the CSV's columns: {', '.join(mapping_names())}, or a .yaml file")
+    flag(
+        "--mapping",
+        metavar="NAME_OR_FILE",
+        help=f"the CSV's columns: {', '.join(mapping_names())}, or a .yaml file",
+    )
     flag("--imu-topic", metavar="NAME", help="the sensor's topic (default: imu/data_raw, else the busiest)")
     flag("--speed-topic", metavar="NAME", help="the speed's topic (default: bicycle/speed, else the busiest)")
     flag(
@@ -114,7 +118,7 @@ def _print(path: str, seen: Survey, found: list[tuple[str, Finding]], go_on: str
             ("type", finding.command),
         ):
             if text:
-                wrapped = text if label == "type" else textwrap.fill(text, 100, subsequent_indent=" " * 7)
-                print(f"  {label + ':':5}{wrapped}")
+                wrapped = text if label == "type" else textwrap.fill(text, 100, subsequent_indent=" " * 8)
+                print(f"  {label + ':':6}{wrapped}")
     grave = sum(finding.severity == ERROR for _, finding in found)
     print(f"\n{grave} errors, {sum(f.severity == WARNING for _, f in found)} warnings. To go on: {go_on}")

@@ -28,12 +28,18 @@ def add_export(commands: Any) -> None:
     )
     flag = parser.add_argument
     flag("bag", help="folder of a bag, or an .mcap or .db3 file")
-    flag("-o", "--output", required=True, help="CSV file to write")
+    flag("-o", "--output", required=True, metavar="FILE", help="CSV file to write")
     flag("--topics", nargs="+", metavar="NAME", help="topics (default: all with numbers)")
     text = "fields, * stands for anything: 'angular_velocity.*' (default: all numbers but arrays)"
     flag("--columns", nargs="+", metavar="PATTERN", help=text)
     flag("--delimiter", default=",", metavar="CHARACTER", help="between cells (default a comma)")
-    flag("--decimal", choices=DECIMALS, default=".", help="in numbers (default a point)")
+    flag(
+        "--decimal",
+        metavar="MARK",
+        choices=DECIMALS,
+        default=".",
+        help="in numbers, . or , (default a point)",
+    )
     flag("--force", action="store_true", help="replace a file that is there already")
     flag("--json", action="store_true", help="one JSON document on stdout")
 

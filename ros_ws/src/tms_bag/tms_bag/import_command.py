@@ -28,9 +28,10 @@ def add_import(commands: Any) -> None:
     flag(
         "--mapping",
         required=True,
+        metavar="NAME_OR_FILE",
         help=f"meaning of the columns: {', '.join(mapping_names())}, or a .yaml file",
     )
-    flag("-o", "--output", required=True, help="bag to write")
+    flag("-o", "--output", required=True, metavar="BAG", help="bag to write")
     flag("--force", action="store_true", help="replace a bag that is there already")
     text = "the column is called NAME in this log"
     flag("--column", action="append", default=[], metavar="QUANTITY=NAME", help=text)
@@ -39,8 +40,10 @@ def add_import(commands: Any) -> None:
     flag("--missing", choices=("error", "skip"), help=f"{text} (default: the mapping's)")
     text = "between cells (default: the mapping's, else whichever of , ; tab | fits the header)"
     flag("--delimiter", metavar="CHARACTER", help=text)
-    flag("--decimal", choices=DECIMALS, help="in numbers: 1.5 or 1,5 (default: the mapping's)")
-    flag("--bicycle", help="name in the catalogue (default: the mapping's)")
+    flag(
+        "--decimal", metavar="MARK", choices=DECIMALS, help="in numbers: 1.5 or 1,5 (default: the mapping's)"
+    )
+    flag("--bicycle", metavar="NAME", help="name in the catalogue (default: the mapping's)")
     flag("--json", action="store_true", help="one JSON document on stdout")
 
 

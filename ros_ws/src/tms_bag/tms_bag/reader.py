@@ -15,7 +15,7 @@ import numpy as np
 from tms_bag.advance import in_advance
 from tms_bag.bag_files import files_of
 from tms_bag.block import Block, within
-from tms_bag.channel import ENCODING, Channel
+from tms_bag.channel import Channel, check_encoding
 from tms_bag.columns import Collector, Columns
 from tms_bag.db3_source import Db3Source
 from tms_bag.definitions import fields_of
@@ -212,11 +212,10 @@ class BagReader:
         return file_number, numbers, self._block(file_number, span)
 
     def _fields(self, channel: Channel) -> Fields:
-        if channel.encoding != ENCODING:
-            raise RecordingError(
-                f"{self.path}: expected messages in ROS 2's encoding {ENCODING}, found"
-                f" {channel.encoding!r} on {channel.name}; choose topics without it"
-            )
+        try:
+            check_encoding(channel)
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from error
         return fields_of(channel)
 
     def _type_of(self, name: str) -> str:

@@ -136,7 +136,8 @@ def _missing(bag: BagReader, topic: str, name: str | None = None) -> str:
             f"; use {flag} {same[0]}" if flag else ""
         )
     others = ", ".join(f"{entry.name} ({entry.type}, {entry.count})" for entry in bag.topics) or "no topics"
-    return f"{bag.path}: expected {wanted}, found none; the bag holds {others}: record that topic too"
+    cut = "".join(f"; {warning}" for warning in bag.warnings)
+    return f"{bag.path}: expected {wanted}, found none; the bag holds {others}: record that topic too{cut}"
 
 
 def _samples_of(bag: BagReader, names: dict[str, str]) -> dict[str, tuple[Any, int]]:

@@ -25,7 +25,8 @@ def unfinished(survey: Survey) -> Iterator[Finding]:
             warning,
             "the last second or more may be missing; other tools may refuse the file",
             "read it as it is, or make a clean bag of it",
-            f"./tms bag repair {shlex.quote(str(survey.path))}",
+            f"./tms bag repair {shlex.quote(str(survey.path))}"
+            + (" -o NEW" if survey.path.is_file() else ""),
         )
 
 

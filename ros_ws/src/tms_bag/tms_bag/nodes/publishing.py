@@ -10,6 +10,7 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
+from tms_bag.channel import check_encoding
 from tms_bag.errors import RecordingError
 from tms_bag.nodes.interfaces import OVERRIDABLE, message_class, offered_profile
 from tms_bag.reader import BagReader
@@ -38,6 +39,7 @@ def make_publishers(
         if name in left_out or name in publishers or not selection.means(name, [channel.type]):
             continue
         try:
+            check_encoding(channel)
             kind = message_class(channel.type)
         except RecordingError as error:
             if name in selection.names:
