@@ -31,7 +31,7 @@ from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 FOLDER = Path(__file__).parent / "bicycles"
 LARGEST_YAML = 2**20  # [bytes]
 MOST_ENTRIES = 20_000
-LARGEST_NUMBER = 1e300  # a YAML integer may be larger than any float
+LARGEST_NUMBER = 1e30  # in SI units; the products of larger ones overflow, and a YAML integer has no end
 # What the safe loader raises for texts that aren't YAML, or not of the types that their tags say.
 NOT_YAML = (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RecursionError)
 _TEXT = ("description", "source", "uncertainty")
@@ -124,8 +124,12 @@ def unquoted(value: Any) -> Any:
 def number(value: Any, where: str) -> float:
     """`value` as a float. Raises ParameterError for anything that is not a finite number."""
     value = unquoted(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_NUMBER:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
         raise ParameterError(f"{where}: expected a finite number, found {reprlib.repr(value)}")
+    if abs(value) > LARGEST_NUMBER:
+        raise ParameterError(
+            f"{where}: expected a number of at most {LARGEST_NUMBER:g}, found {reprlib.repr(value)}"
+        )
     return float(value)
 
 
