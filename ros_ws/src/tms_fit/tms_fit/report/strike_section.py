@@ -16,7 +16,7 @@ from tms_fit.report.animation import animation
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.eigenvalues import eigenvalue_chart
 from tms_fit.report.charts.nis import nis_chart
-from tms_fit.report.charts.rates import rates_chart
+from tms_fit.report.charts.rates import Shown, rates_chart
 from tms_fit.report.charts.residuals import histogram_chart, residual_chart
 from tms_fit.report.charts.speed import speed_chart
 from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
@@ -83,7 +83,7 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     speed, more = _speed(fit, both)
     eigenvalue, rest = _eigenvalues(fit, both)
     charts = (
-        rates_chart(source_of(fit), "yaw_rate" in present, state is not None, with_slip),
+        rates_chart(Shown(source_of(fit), "yaw_rate" in present, state is not None, with_slip)),
         speed,
         *_residual_charts(both, compared, data),
         nis_chart(share_inside(data["nis"])),
