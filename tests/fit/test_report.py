@@ -260,6 +260,14 @@ def test_residuals_are_those_of_the_channels_used(report: Any, bag: Path, words:
     assert set(data["spectrum"]["channel"]) == set(data["autocorrelation"]["channel"]) == {channel}
 
 
+@pytest.mark.parametrize("slip", ["leave_out", "yaw_offset"])
+def test_slip_window_is_shaded(report: Any, bag: Path, slip: str) -> None:
+    page = report(bag, "--slip-window", 0.25, "--slip", slip)
+    assert page.data["data"]["strike-1"]["slip_window"] == {"start": [0.0], "end": [0.25]}
+    assert ("left out" if slip == "leave_out" else "in the model") in json.dumps(page.data["specs"])
+    assert "slip_window" not in report(bag).data["data"]["strike-1"]
+
+
 def test_a_prediction_that_runs_away_is_not_drawn(report: Any, bag: Path) -> None:
     data = report(bag, "--fix", "speed=0.3").data["data"]["strike-1"]["series"]
     largest = max(abs(one) for one in data["lean_rate"] if one is not None)

@@ -29,7 +29,7 @@ def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
         _draw_channel(axes, both, channel, source_of(fit))
         axes.set_ylabel(name)
     handles, labels = upper.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncol=4, frameon=False)
+    figure.legend(handles, labels, loc="lower center", ncol=5, fontsize=9, columnspacing=1.2, frameon=False)
     lower.set(
         xlabel="time since the start of the free response [s]",
         xlim=(-BEFORE, min(float(both.time[-1]), AFTER)),
@@ -41,6 +41,9 @@ def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
 def _draw_channel(axes: Axes, both: Comparison, channel: int, source: str) -> None:
     seconds, predicted, half = both.time, both.predicted[:, channel], both.half[:, channel]
     axes.axvspan(0.0, both.end, color="#F0E442", alpha=0.18, lw=0, label="used for the fit")
+    settings = both.estimate.settings
+    if settings is not None and settings.slip_window:
+        axes.axvspan(0.0, settings.slip_window, color="#999999", alpha=0.35, lw=0, label="taken as slip")
     axes.plot(both.before_time, both.before[:, channel], ".", ms=3, color=MEASURED)
     axes.plot(seconds, both.measured[:, channel], ".", ms=3, color=MEASURED, label=source)
     axes.fill_between(

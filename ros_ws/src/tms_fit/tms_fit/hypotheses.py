@@ -70,7 +70,7 @@ def _no_slip(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict
     absent = np.where(early, np.nan, 0.0)
     late = replace(window, lean_rate=window.lean_rate + absent, yaw_rate=window.yaw_rate + absent)
     rest = fit_window(late, replace(settings, free=narrow.names))
-    if rest.status != "ok" or not early.any():
+    if rest.status != "ok" or narrow.sample_count <= rest.sample_count:  # slip is left out already
         return None
     rho = max(0.0, rest.residual_autocorrelation)
     share = (1.0 - rho) / (1.0 + rho)

@@ -76,10 +76,10 @@ def _caution(estimate: Estimate) -> Element | None:
     """What makes the interval too narrow, where the residuals show it."""
     if not estimate.residual_autocorrelation > COLOURED:
         return None
-    return element(
-        "strong",
-        "Neighbouring residuals are alike (autocorrelation"
-        f" {fixed(estimate.residual_autocorrelation, 2)}): the model misses something, and the interval is"
-        " too narrow.",
-        class_="caution",
+    alike = (
+        f"Neighbouring residuals are alike (autocorrelation {fixed(estimate.residual_autocorrelation, 2)})"
     )
+    if estimate.noise_model != "white":
+        return element("span", f"{alike}; the interval allows for coloured noise.")
+    text = f"{alike}: the model misses something, and the interval is too narrow."
+    return element("strong", text, class_="caution")

@@ -16,7 +16,7 @@ from tms_fit.report.animation import animation
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.eigenvalues import eigenvalue_chart
 from tms_fit.report.charts.nis import nis_chart
-from tms_fit.report.charts.rates import Shown, rates_chart
+from tms_fit.report.charts.rates import LEFT_OUT, SLIPPING, Shown, rates_chart
 from tms_fit.report.charts.residuals import histogram_chart, residual_chart
 from tms_fit.report.charts.speed import speed_chart
 from tms_fit.report.charts.whiteness import SHIMMY, autocorrelation_chart, spectrum_chart
@@ -79,11 +79,15 @@ def _charts(fit: RecordingFit, both: Comparison) -> tuple[tuple[Chart, ...], dic
     if state is not None:
         data["truth"] = datasets.truth(state, both.strike.start_ns, float(both.time[-1]))
         data["slips"] = datasets.slips(state, both.strike.start_ns, float(both.time[-1]))
+    slipping = _slipping(both)
+    if slipping:
+        seconds = both.estimate.settings.slip_window if both.estimate.settings else 0.0
+        data["slip_window"] = {"start": [0.0], "end": datasets.column([seconds])}
     with_slip = bool(data.get("slips", {}).get("start"))
     speed, more = _speed(fit, both)
     eigenvalue, rest = _eigenvalues(fit, both)
     charts = (
-        rates_chart(Shown(source_of(fit), "yaw_rate" in present, state is not None, with_slip)),
+        rates_chart(Shown(source_of(fit), "yaw_rate" in present, state is not None, with_slip, slipping)),
         speed,
         *_residual_charts(both, compared, data),
         nis_chart(share_inside(data["nis"])),
@@ -115,6 +119,14 @@ def _residual_charts(
 def _gain(both: Comparison) -> float:
     """Lean-rate feedback on the steer torque [N m s/rad], found or known."""
     return both.estimate.complete.get("lean_rate_gain", both.used.lean_rate_gain)
+
+
+def _slipping(both: Comparison) -> str:
+    """What was made of the time in which the front wheel slips; empty: nobody said that it does."""
+    settings = both.estimate.settings
+    if settings is None or not settings.slip_window:
+        return ""
+    return LEFT_OUT if settings.slip == "leave_out" else SLIPPING
 
 
 def _with_values(columns: Array) -> tuple[str, ...]:
