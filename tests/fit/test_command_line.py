@@ -234,7 +234,7 @@ def test_a_recording_cut_short_by_a_crash_is_fitted_as_far_as_it_goes(
         assert not reader.complete
     (strike,) = json.loads(command("tms_fit", "run", tmp_path / "killed", "--json").out)["strikes"]
     assert strike["estimates"][0]["status"] == "ok"
-    live._file.close()
+    live._file._file.close()
 
 
 REFUSED = {

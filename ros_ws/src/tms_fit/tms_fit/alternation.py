@@ -34,7 +34,7 @@ class Fitted:
 def fit_problem(problem: Problem, noise_model: str, loss: Loss) -> Fitted:
     """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured."""
     window, known = problem.window, noise_model
-    solution = solve(problem, _first_rows(problem))
+    plain = solution = solve(problem, _first_rows(problem))
     noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
     limits = _limits(problem)
     for _ in range(ROUNDS):
@@ -56,6 +56,10 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss) -> Fitted:
             break
     if solution.status != "not_observable":
         solution = _with_covariance(problem, solution, noise, loss, limits)
+    if noise_model == "auto" and known == "ar" and loss.name == "squares" and not problem.priors:
+        # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
+        # explain most of the measurement.
+        solution = replace(solution, values=plain.values)
     return Fitted(solution, noise, known)
 
 
