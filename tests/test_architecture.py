@@ -214,6 +214,7 @@ def test_package_xml_names_nothing_that_nobody_needs(package: str) -> None:
     texts = "\n".join(
         p.read_text() for p in MODULES if package_of(p) in {package, *MAY_IMPORT[package] - {"tms_model"}}
     )
+    texts += "\n".join(p.read_text() for p in (SOURCES / package / "launch").glob("*.py"))
     for element in tree(package):
         if element.tag in ("depend", "exec_depend"):
             names = [top for top, key in ROSDEP_KEYS.items() if key == element.text] or [str(element.text)]

@@ -114,3 +114,13 @@ def test_without_its_consumer_a_lossless_replay_gives_up(nodes: Any, bag: Path) 
     nodes.finish(player, 2)
     lines = nodes.log("player").read_text().splitlines()
     assert any("expected /estimator/handled to say what has been handled" in line for line in lines)
+
+
+def test_parameters_come_from_a_yaml_file(nodes: Any, participant: Any, bag: Path, tmp_path: Path) -> None:
+    parameters = {"bag": str(bag), "rate": 8.0, "start_paused": True}
+    document = {"/**": {"ros__parameters": parameters}}
+    (tmp_path / "player.yaml").write_text(json.dumps(document))  # JSON is YAML, too
+    player = nodes.start("tms_bag", "player", "--params-file", str(tmp_path / "player.yaml"))
+    assert call(participant, Trigger, "get_rate").message == "8"
+    assert call(participant, Trigger, "is_paused").success
+    nodes.stop(player)
