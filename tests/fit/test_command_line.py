@@ -346,3 +346,26 @@ def test_every_strike_says_why(command: Any, bag: Path) -> None:
     assert detection["needed"] >= 0.15
     assert "the lean rate jumps by +0.5" in detection["why"]
     assert detection["why"] in command("tms_fit", "run", bag).out
+
+
+def test_hypotheses_and_budget_on_request(command: Any, bag: Path) -> None:
+    (plain,) = json.loads(command("tms_fit", "run", bag, "--json").out)["strikes"]
+    assert not {"hypotheses", "error_budget"} & set(plain)
+    assert {test["name"] for test in plain["estimates"][0]["criticism"]["tests"]} == {
+        "ljung_box",
+        "periodogram",
+        "normality",
+    }
+    done = command("tms_fit", "run", bag, "--hypotheses", "--budget", "--json")
+    (strike,) = json.loads(done.out)["strikes"]
+    told = {one["hypothesis"]: one for one in strike["hypotheses"]}
+    assert told["constant speed"]["rejected"] is False
+    assert "constant speed is not rejected (p = " in told["constant speed"]["sentence"]
+    budget = strike["error_budget"]
+    assert budget["model_std"] is None  # nobody states how sure Eq. (10.1) is
+    assert {"speed", "strike_time", "M_lean_lean", "K2_steer_steer"} <= {
+        one["name"] for one in budget["contributions"]
+    }
+    text = command("tms_fit", "run", bag, "--hypotheses", "--budget").out
+    assert told["constant speed"]["sentence"] in text
+    assert "error budget of the initial lean rate" in text

@@ -17,6 +17,7 @@ from tms_fit.joint_commands import add_arguments, print_calibration, print_toget
 from tms_fit.losses import LOSSES
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
+from tms_fit.scrutiny import ASKED
 from tms_fit.settings import (
     DEFAULT_FREE,
     NOISE_MODELS,
@@ -40,10 +41,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     elif arguments.command == "run":
         estimators = tuple(arguments.estimator or FitSettings.estimators)
         fit = _fit(arguments, estimators, tuple(arguments.strike))
+        asked = [name for name in ASKED if getattr(arguments, name)]
         if arguments.json:
-            print_json(to_json(fit, arguments.hypotheses))
+            print_json(to_json(fit, asked))
         else:
-            print(to_table(fit, arguments.hypotheses))
+            print(to_table(fit, asked))
     elif arguments.command == "report":
         fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
         try:
@@ -108,6 +110,12 @@ def _parser() -> Parser:
                 "--hypotheses",
                 action="store_true",
                 help="test rival explanations of each strike, one sentence each",
+            )
+            command.add_argument(
+                "--budget",
+                action="store_true",
+                help="error budget of the initial lean rate: what speed, resistance, start and each entry of"
+                " the bicycle's matrices change in it",
             )
         elif name == "report":
             command.add_argument("-o", "--output", required=True, help="file to write, .html")

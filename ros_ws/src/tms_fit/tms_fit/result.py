@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Collection
 from typing import Any
 
 from tms_fit.answer import COLOURED
-from tms_fit.criticism import criticise
 from tms_fit.estimate import Estimate
-from tms_fit.hypotheses import Verdict, verdicts
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.online import StrikeFit
+from tms_fit.scrutiny import criticism_json, scrutiny_json, scrutiny_lines
 from tms_fit.settings import FitSettings
 from tms_fit.strike import Strike, StrikeSettings
-from tms_fit.window import Window
 
 
-def to_json(fit: RecordingFit, hypotheses: bool = False) -> dict[str, Any]:
+def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
     """The document promised in docs/conventions.md; SI units and radians, SAE signs.
 
-    hypotheses: with the verdicts on the rival explanations of each strike.
+    asked: what else is wanted of each strike, of tms_fit.scrutiny.ASKED.
     """
     start_ns = first_stamp(fit.recording)
     return {
         "bag": str(fit.recording.path),
         "bicycle": fit.bicycle.name,
         "start_ns": start_ns,
-        "strikes": [_strike(one, fit.settings if hypotheses else None) for one in fit.strikes],
+        "strikes": [_strike(one, fit.settings, asked) for one in fit.strikes],
         "settings": {
             "free": list(fit.settings.free) if fit.settings.free else None,
             "fixed": dict(fit.settings.fixed),
@@ -51,9 +49,8 @@ def to_json(fit: RecordingFit, hypotheses: bool = False) -> dict[str, Any]:
     }
 
 
-def _strike(fit: StrikeFit, settings: FitSettings | None) -> dict[str, Any]:
+def _strike(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> dict[str, Any]:
     window = fit.window
-    told = verdicts(window, settings) if window and settings else ()
     return {
         "time_ns": fit.start_ns,
         "window": [fit.strike.time_ns, fit.end_ns],
@@ -63,50 +60,10 @@ def _strike(fit: StrikeFit, settings: FitSettings | None) -> dict[str, Any]:
         "speed": window.start_speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [
-            {**_estimate(one), "criticism": _criticism(window, one) if window else None}
+            {**_estimate(one), "criticism": criticism_json(window, one) if window else None}
             for one in fit.estimates
         ],
-        **({"hypotheses": [_verdict(one) for one in told]} if settings else {}),
-    }
-
-
-def _criticism(window: Window, estimate: Estimate) -> dict[str, Any]:
-    """What the residuals say about the model."""
-    found = criticise(window, estimate)
-    return {
-        "verdict": found.verdict,
-        "fit_percent": found.fit_percent,
-        "tests": [
-            {
-                "name": one.name,
-                "channel": one.channel,
-                "statistic": one.statistic,
-                "p_value": one.p_value,
-                "passed": one.passed,
-                "sentence": one.sentence,
-            }
-            for one in found.tests
-        ],
-    }
-
-
-def _verdict(one: Verdict) -> dict[str, Any]:
-    """One hypothesis; null where the data say nothing."""
-    figures = {
-        "value": one.value,
-        "std": one.std,
-        "assumed": one.assumed,
-        "statistic": one.statistic,
-        "p_value": one.p_value,
-        "delta_aic": one.delta_aic,
-        "delta_bic": one.delta_bic,
-    }
-    return {
-        "hypothesis": one.hypothesis,
-        "parameter": one.parameter,
-        "rejected": one.rejected,
-        "sentence": one.sentence,
-        **{name: value if math.isfinite(value) else None for name, value in figures.items()},
+        **scrutiny_json(fit, settings, asked),
     }
 
 
@@ -149,7 +106,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def to_table(fit: RecordingFit, hypotheses: bool = False) -> str:
+def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
     """One line per strike and estimator, why each is a strike, what speaks against the model."""
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
     lines += [f"warning: {warning}" for warning in fit.recording.warnings]
@@ -165,8 +122,9 @@ def to_table(fit: RecordingFit, hypotheses: bool = False) -> str:
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
     lines.extend(_reasons(fit))
-    if hypotheses:
-        lines.extend(_sentences(fit))
+    for one in fit.strikes:
+        when = (one.start_ns - first_stamp(fit.recording)) / 1e9
+        lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked))
     if any(line.endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:
@@ -185,19 +143,6 @@ def _reasons(fit: RecordingFit) -> list[str]:
         lines.append(
             f"looked at and not taken: {len(fit.rejected)} changes (--json says why; --strike TIME overrides)"
         )
-    return lines
-
-
-def _sentences(fit: RecordingFit) -> list[str]:
-    """Residuals and rival explanations of each strike."""
-    lines = []
-    for one in fit.strikes:
-        if one.window is not None:
-            lines.append(
-                f"{(one.start_ns - first_stamp(fit.recording)) / 1e9:10.4f} residuals and hypotheses:"
-            )
-            lines.append(f"{'':11}{criticise(one.window, one.estimates[0]).verdict}")
-            lines.extend(f"{'':11}{verdict.sentence}" for verdict in verdicts(one.window, fit.settings))
     return lines
 
 

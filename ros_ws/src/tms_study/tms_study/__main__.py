@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from tms_bag import RecordingError
+from tms_fit.settings import PARAMETERS, check_known
 from tms_model import ParameterError
-from tms_model.command_line import Parser, run
+from tms_model.command_line import Parser, print_json, run
+from tms_sim.scenario import load_scenario, parse_change
 
+from tms_study.bound import FREE, table, to_json, to_text
 from tms_study.demo import demo
+from tms_study.findings import findings_json, findings_text, write_markdown
+from tms_study.validation import validate
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Parse the arguments and run. Raises ParameterError and RecordingError."""
+    arguments = _parser().parse_args(argv)
+    if arguments.command == "demo":
+        print(demo(Path(arguments.out), arguments.scenario, arguments.seed))
+    elif arguments.command == "bound":
+        _bound(arguments)
+    else:
+        _validate(arguments)
+
+
+def _parser() -> Parser:
     parser = Parser(prog="tms study", description="What needs both simulator and estimators.")
     commands = parser.add_subparsers(dest="command", required=True)
     text = "the whole pipeline: simulate, record, replay, estimate, fit, draw"
@@ -22,8 +39,49 @@ def main(argv: Sequence[str] | None = None) -> None:
     command.add_argument("--out", default="out/demo", help="folder to make (default %(default)s)")
     command.add_argument("--scenario", default="tms_strike", help="(default %(default)s)")
     command.add_argument("--seed", type=int, default=1, help="seed of all noise (default %(default)s)")
-    arguments = parser.parse_args(argv)
-    print(demo(Path(arguments.out), arguments.scenario, arguments.seed))
+    text = "what an experiment can tell at best: Cramer-Rao bounds over rate, noise, duration, strength"
+    command = commands.add_parser("bound", help=text, description=text)
+    command.add_argument("scenario", help="name (see `sim list`) or .yaml file")
+    command.add_argument(
+        "--free",
+        type=lambda names: tuple(name.strip() for name in names.split(",") if name.strip()),
+        default=FREE,
+        metavar="NAME,...",
+        help=f"all that is to be found, of {', '.join(PARAMETERS)} (default: {','.join(FREE)})",
+    )
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a key of the scenario"
+    )
+    command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+    text = "check the estimators on runs whose truth is known, and print what came out"
+    command = commands.add_parser("validate", help=text, description=text)
+    command.add_argument("--quick", action="store_true", help="fewer runs: minutes become seconds")
+    command.add_argument("--seed", type=int, default=2011, help="seed of all noise (default %(default)s)")
+    command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
+    command.add_argument("-o", "--output", help="Markdown file to write the table to")
+    return parser
+
+
+def _bound(arguments: argparse.Namespace) -> None:
+    check_known(arguments.free, PARAMETERS, "free")
+    scenario = load_scenario(arguments.scenario, dict(parse_change(text) for text in arguments.set))
+    rows = table(scenario, arguments.free)
+    if arguments.json:
+        print_json(to_json(scenario, arguments.free, rows))
+    else:
+        print(to_text(scenario, arguments.free, rows))
+
+
+def _validate(arguments: argparse.Namespace) -> None:
+    if arguments.output and not Path(arguments.output).absolute().parent.is_dir():
+        raise ParameterError(f"-o: expected a file in a folder that exists, found {arguments.output}")
+    done = validate(np.random.default_rng(arguments.seed), arguments.quick)
+    if arguments.output:
+        write_markdown(Path(arguments.output), done, arguments.seed, arguments.quick)
+    if arguments.json:
+        print_json(findings_json(done, arguments.seed, arguments.quick))
+    else:
+        print(findings_text(done))
 
 
 if __name__ == "__main__":

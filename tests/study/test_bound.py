@@ -1,0 +1,74 @@
+"""The Cramer-Rao bound: the published figures, and what theory says about its dependence on each choice."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tms_sim.scenario import load_scenario
+from tms_study.bound import Experiment, bound, table
+
+# Eq. (10.1), 3.6 m/s constant, initial lean rate 0.5 rad/s, 100 Hz for 4 s, white noise of 0.02 rad/s:
+# computed with independent code, two implementations agreed.
+EXPERIMENT = Experiment(rate=100.0, noise_density=0.002, duration=4.0, lean_rate=0.5)
+LEAN_RATE, BIASES = ("initial_lean_rate",), ("lean_rate_bias", "yaw_rate_bias")
+STATES = ("initial_lean", "initial_steer", "initial_lean_rate", "initial_steer_rate")
+KNOWN = [
+    (LEAN_RATE, 1.2066e-3, 5e-8),
+    ((*LEAN_RATE, "speed"), 1.2119e-3, 5e-8),
+    ((*LEAN_RATE, *BIASES), 1.568e-3, 5e-7),
+    ((*LEAN_RATE, *BIASES, "speed", "initial_steer_rate"), 5.738e-3, 5e-7),
+    (STATES, 9.27469e-3, 2e-8),
+]
+
+
+@pytest.mark.parametrize(("free", "expected", "digits"), KNOWN, ids=lambda value: str(value)[:40])
+def test_bound_is_the_known_one(free: tuple[str, ...], expected: float, digits: float) -> None:
+    found = bound(load_scenario("tms_strike"), EXPERIMENT, free)
+    assert found.std["initial_lean_rate"] == pytest.approx(expected, abs=digits)
+
+
+def test_speed_and_lean_rate_alone() -> None:
+    scenario = load_scenario("tms_strike")
+    both = bound(scenario, EXPERIMENT, (*LEAN_RATE, "speed"))
+    assert both.std["speed"] == pytest.approx(5.1e-3, abs=5e-5)
+    alone = bound(scenario, replace(EXPERIMENT, channels=("lean_rate",)), LEAN_RATE)
+    assert alone.std["initial_lean_rate"] == pytest.approx(2.777e-3, abs=5e-7)
+
+
+def test_noise_strength_and_rate_scale_as_they_must() -> None:
+    # Twice the noise: twice the bound. A strike twice as hard halves the speed's. More samples of the same
+    # noise density change nothing but the sum's step.
+    scenario, free = load_scenario("tms_strike"), (*LEAN_RATE, "speed")
+    one = bound(scenario, EXPERIMENT, free).std
+    loud = bound(scenario, replace(EXPERIMENT, noise_density=0.004), free).std
+    hard = bound(scenario, replace(EXPERIMENT, lean_rate=1.0), free).std
+    fast = bound(scenario, replace(EXPERIMENT, rate=1000.0), free).std
+    for name in free:
+        assert loud[name] == pytest.approx(2.0 * one[name], rel=1e-9)
+        assert fast[name] == pytest.approx(one[name], rel=0.02)
+    assert hard["speed"] == pytest.approx(one["speed"] / 2.0, rel=1e-6)
+    assert hard["initial_lean_rate"] == pytest.approx(one["initial_lean_rate"], rel=1e-6)
+
+
+def test_what_can_not_be_told_apart_has_no_bound() -> None:
+    lean_only = replace(EXPERIMENT, channels=("lean_rate",))
+    assert bound(load_scenario("tms_strike"), lean_only, BIASES).std.keys() == {"lean_rate_bias"}
+    unstruck = replace(EXPERIMENT, lean_rate=0.0)
+    assert bound(load_scenario("tms_strike"), unstruck, (*LEAN_RATE, "speed")).std == {}
+
+
+def test_command(command: Any, refused: Any) -> None:
+    document = json.loads(command("tms_study", "bound", "tms_strike", "--json").out)
+    rows = document["bounds"]
+    assert len(rows) == len(table(load_scenario("tms_strike"), tuple(document["free"])))
+    assert rows[0]["rate"] == 100.0
+    assert rows[0]["noise"] == pytest.approx(0.02)
+    assert np.isfinite(rows[0]["std"]["initial_lean_rate"])
+    text = command("tms_study", "bound", "tms_strike", "--free", "initial_lean_rate", "--set", "speed=4").out
+    assert "Cramer-Rao" in text
+    assert "free: unknown 'lean'" in refused("tms_study", "bound", "tms_strike", "--free", "lean")
+    assert "expected a sensor with noise" in refused("tms_study", "bound", "tms_strike_ideal")
