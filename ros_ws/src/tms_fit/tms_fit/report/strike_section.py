@@ -6,6 +6,7 @@ import numpy as np
 from tms_model import stability
 from tms_model.bicycle import Array
 
+from tms_fit.budget import error_budget
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
 from tms_fit.criticism import criticise
 from tms_fit.hypotheses import verdicts
@@ -13,7 +14,9 @@ from tms_fit.motion import motion
 from tms_fit.offline import RecordingFit
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation
+from tms_fit.report.budget_table import budget_table, largest_effects
 from tms_fit.report.chart import Chart, Columns
+from tms_fit.report.charts.budget import budget_chart
 from tms_fit.report.charts.eigenvalues import eigenvalue_chart
 from tms_fit.report.charts.nis import nis_chart
 from tms_fit.report.charts.rates import LEFT_OUT, SLIPPING, Shown, rates_chart
@@ -42,11 +45,17 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
         return Section(name, title, (sentence(fit, index), _why(strike)), tables=(estimator_table(strike),))
     both = comparison(fit, index + 1)
     charts, data = _charts(fit, both)
+    settings = both.estimate.settings or fit.settings
+    budget = error_budget(both.used, settings, both.estimate)
+    if budget is not None:
+        data |= largest_effects(budget)
+        charts = (*charts, budget_chart(data["effects"]["name"]))
     motions = _motions(fit, both)
     tables = [parameter_table(both.estimate)]
     judged = criticism_table(criticise(both.used, both.estimate))
-    told = hypotheses_table(verdicts(both.used, both.estimate.settings or fit.settings))
-    tables += [one for one in (judged, told) if one is not None]
+    told = hypotheses_table(verdicts(both.used, settings))
+    spent = budget_table(budget) if budget is not None else None
+    tables += [one for one in (judged, told, spent) if one is not None]
     if len(strike.estimates) > 1:
         tables.append(estimator_table(strike))
     if fit.recording.state is not None:
