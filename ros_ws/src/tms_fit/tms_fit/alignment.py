@@ -18,6 +18,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.strike import NANOSECONDS
 
+Reading = tuple[int, Array, Array, Array]  # stamp, angular velocity, variance, unsaturated
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
 
 
@@ -30,6 +31,8 @@ class Sample:
     variance: Array  # (3,) [rad^2/s^2], NaN: unknown
     speed: float  # [m/s], NaN: unknown
     steer_torque: float  # [N m], NaN: unknown
+    unsaturated: Array  # (3,) angular_velocity, NaN where an axis of the sensor at its limit enters
+    speed_ns: int | None = None  # when the speed was measured; None: it was not
 
 
 class Series:
@@ -50,6 +53,11 @@ class Series:
         """The last value at or before a time; NaN before the first."""
         index = bisect_right(self.time, time_ns)
         return self.value[index - 1] if index else float("nan")
+
+    def stamp_at(self, time_ns: int) -> int | None:
+        """When that value was measured; None before the first."""
+        index = bisect_right(self.time, time_ns)
+        return self.time[index - 1] if index else None
 
     def between(self, first_ns: int, last_ns: int) -> tuple[IntArray, Array]:
         """Times [ns] and values from the one that holds at `first_ns` to `last_ns`."""
@@ -73,12 +81,12 @@ class Alignment:
         self.counts: Counter[str] = Counter()  # of IMU samples left out: repeated, late
         self._reorder_ns = round(reorder_window * NANOSECONDS)
         self._fixed_speed = fixed_speed
-        self._waiting: list[tuple[int, Array, Array]] = []
+        self._waiting: list[Reading] = []
         self._first_ns: int | None = None
         self._given_ns: int | None = None  # stamp of the last sample given
 
-    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
-        """Gyroscopes (3,) [rad/s] in SAE axes of the rear frame, variances (3,)."""
+    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array, unsaturated: Array) -> None:
+        """Gyroscopes (3,) [rad/s] in SAE axes of the rear frame, variances (3,); see Sample."""
         if self._given_ns is not None and time_ns <= self._given_ns:
             self.counts["repeated" if time_ns == self._given_ns else "late"] += 1
             return
@@ -87,15 +95,23 @@ class Alignment:
             self.counts["repeated"] += 1
             return
         self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
-        insort(self._waiting, (time_ns, angular_velocity, variance), key=_stamp)
+        insort(self._waiting, (time_ns, angular_velocity, variance, unsaturated), key=_stamp)
 
     def ready(self, finished: bool = False) -> Iterator[Sample]:
         """The samples that are complete; all that wait if no more will come."""
         while self._waiting and (finished or self._complete(self._waiting[0][0])):
-            time_ns, angular_velocity, variance = self._waiting.pop(0)
+            time_ns, angular_velocity, variance, unsaturated = self._waiting.pop(0)
             self._given_ns = time_ns
-            speed = self.speed.at(time_ns) if self._fixed_speed is None else self._fixed_speed
-            yield Sample(time_ns, angular_velocity, variance, speed, self.steer_torque.at(time_ns))
+            fixed = self._fixed_speed
+            yield Sample(
+                time_ns=time_ns,
+                angular_velocity=angular_velocity,
+                variance=variance,
+                speed=self.speed.at(time_ns) if fixed is None else fixed,
+                steer_torque=self.steer_torque.at(time_ns),
+                unsaturated=unsaturated,
+                speed_ns=self.speed.stamp_at(time_ns) if fixed is None else None,
+            )
 
     def _complete(self, time_ns: int) -> bool:
         assert self._first_ns is not None
@@ -112,5 +128,5 @@ class Alignment:
         )
 
 
-def _stamp(sample: tuple[int, Array, Array]) -> int:
+def _stamp(sample: Reading) -> int:
     return sample[0]

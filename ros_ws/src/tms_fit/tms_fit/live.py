@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections import Counter, deque
 
+import numpy as np
 from tms_bag import Record, RecordingError, conversion, topics
 from tms_bag.samples import RunInfo
 from tms_model import ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
+from tms_fit.extended_filter import SLOW
 from tms_fit.messages import estimate_records, filter_state_record
 from tms_fit.offline import orientation_of
 from tms_fit.online import OnlineFit
@@ -108,6 +110,17 @@ class LiveFit:
     def diagnostics(self) -> dict[str, int]:
         """What came, and what was left out and why."""
         return dict(self.counts + self._online.counts if self._online else self.counts)
+
+    @property
+    def slow_states(self) -> dict[str, str]:
+        """What the extended filter says now of biases, speed and C_r, with standard deviations, SI units."""
+        step = self._online.last_step if self._online else None
+        if step is None or step.slow is None or step.slow_covariance is None:
+            return {}
+        std = np.sqrt(np.diag(step.slow_covariance))
+        return {
+            name: f"{value:.4g} +- {one:.2g}" for name, value, one in zip(SLOW, step.slow, std, strict=True)
+        }
 
     def _restart(self) -> None:
         if self._online is not None:

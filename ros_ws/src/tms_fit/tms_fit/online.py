@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
-from tms_model.frames import imu_to_rear_frame
+from tms_model.frames import flip_axes, imu_to_rear_frame, rotation_matrix
 
 from tms_fit.alignment import PATIENCE, Alignment, Sample
+from tms_fit.censoring import saturated
 from tms_fit.estimators import check_names
+from tms_fit.extended_filter import ExtendedFilter, FirstGuess, Wandering
 from tms_fit.given_strikes import GivenStrikes
 from tms_fit.projection import Problem, solve
 from tms_fit.running_filter import FilterStep, RunningFilter
@@ -58,7 +61,9 @@ class OnlineFit:
         check_names(settings.estimators)
         self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
-        self._filter = RunningFilter(bicycle, settings.gyroscope_noise) if running_filter else None
+        self._filter = _filter(bicycle, settings) if running_filter else None
+        self._rotation = rotation_matrix(imu_orientation)
+        self._counts: Counter[str] = Counter()
         self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
         self._aligned = Alignment(reorder_window, settings.fixed.get("speed"))
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
@@ -68,11 +73,16 @@ class OnlineFit:
         self._onsets: list[int] = []
         self._latest: Strike | None = None
         self._results: list[StrikeFit | FilterStep] = []
+        self._last_step: FilterStep | None = None
 
     def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
         """One sample: gyroscopes (3,) [rad/s] in imu axes, variances (3,); NaN: absent, unknown."""
-        rotated = imu_to_rear_frame(angular_velocity[None, :], self._orientation)[0]
-        self._aligned.add_imu(time_ns, rotated, variance)
+        rotated = unsaturated = self._to_rear_frame(angular_velocity)
+        full = self._settings.gyroscope_range
+        if full is not None and (at_limit := saturated(angular_velocity, full) != 0.0).any():
+            self._counts["saturated"] += 1
+            unsaturated = self._to_rear_frame(np.where(at_limit, np.nan, angular_velocity))
+        self._aligned.add_imu(time_ns, rotated, variance, unsaturated)
         self._release()
 
     def add_speed(self, time_ns: int, speed: float) -> None:
@@ -92,6 +102,11 @@ class OnlineFit:
             self._fit()
 
     @property
+    def last_step(self) -> FilterStep | None:
+        """What the running filter said last."""
+        return self._last_step
+
+    @property
     def rejected(self) -> list[Rejected]:
         """The latest changes that were looked at and not taken for strikes."""
         return list(self._detector.rejected)
@@ -103,8 +118,8 @@ class OnlineFit:
 
     @property
     def counts(self) -> Counter[str]:
-        """IMU samples left out: repeated, late."""
-        return self._aligned.counts
+        """IMU samples left out: repeated, late; and saturated ones, which the running filter leaves out."""
+        return self._aligned.counts + self._counts
 
     @property
     def strike_count(self) -> int:
@@ -124,6 +139,13 @@ class OnlineFit:
         if end_ns > fit.end_ns and self._used and self._used[0].time_ns <= first_ns:
             stretch = self._stretch(first_ns, end_ns)
         return fit_strike(fit.strike, stretch, bicycle, settings)
+
+    def _to_rear_frame(self, angular_velocity: Array) -> Array:
+        if math.isfinite(angular_velocity.sum()):  # nothing is absent
+            turned: Array = flip_axes(angular_velocity[None, :] @ self._rotation.T)[0]
+        else:
+            turned = imu_to_rear_frame(angular_velocity[None, :], self._orientation)[0]
+        return turned
 
     def _release(self, finished: bool = False) -> None:
         for sample in self._aligned.ready(finished):
@@ -167,9 +189,10 @@ class OnlineFit:
             if not speed > 0.0:
                 return
             step = self._filter.step(
-                one.time_ns, one.angular_velocity, one.variance, speed, self._held_torque(index)
+                one.time_ns, one.unsaturated, one.variance, speed, self._held_torque(index), one.speed_ns
             )
         if step is not None:
+            self._last_step = step
             self._results.append(step)
 
     def _held_torque(self, index: int) -> float:
@@ -228,3 +251,17 @@ class OnlineFit:
 
     def _stretch_of(self, samples: list[Sample]) -> Stretch:
         return stretch_of(samples, self._aligned.speed, self._nominal_speed)
+
+
+def _filter(bicycle: Bicycle, settings: FitSettings) -> RunningFilter:
+    """The filter of the settings; what they fix is known to it."""
+    if settings.filter == "linear":
+        return RunningFilter(bicycle, settings.gyroscope_noise)
+    guess, wandering = FirstGuess(), Wandering()
+    resistance = settings.fixed.get("rolling_resistance", 0.0 if "speed" in settings.fixed else None)
+    if resistance is not None:
+        guess = replace(guess, rolling_resistance=resistance, rolling_resistance_std=0.0)
+        wandering = replace(wandering, rolling_resistance=0.0)
+    if "speed" in settings.fixed:
+        guess, wandering = replace(guess, speed_share=0.0), replace(wandering, speed=0.0)
+    return ExtendedFilter(bicycle, settings.gyroscope_noise, guess, wandering)

@@ -34,6 +34,7 @@ SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
 NOISE_MODELS = ("auto", "white", "ar")
 SATURATIONS = ("drop", "censor", "use")
 SLIPS = ("leave_out", "yaw_offset")
+FILTERS = ("linear", "extended")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class FitSettings:
     saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
     slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
     slip: str = "leave_out"  # what is done with that time, of SLIPS
+    filter: str = "linear"  # that runs along, of FILTERS: the speed is given, or estimated with C_r
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
     @property
@@ -80,6 +82,7 @@ class FitSettings:
         check_known((self.loss,), LOSSES, "loss")
         check_known((self.saturation,), SATURATIONS, "saturation")
         check_known((self.slip,), SLIPS, "slip")
+        check_known((self.filter,), FILTERS, "filter")
         if not self.channels:
             raise ParameterError(f"channels: expected at least one of {', '.join(CHANNELS)}, found none")
         self._check_free()

@@ -89,7 +89,7 @@ class Estimator(Node):
             else f"bicycle {self._fit.bicycle}"
         )
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
-        return text, not waiting and not lost, {**self._fit.diagnostics, **lost}
+        return text, not waiting and not lost, {**self._fit.diagnostics, **lost, **self._fit.slow_states}
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

@@ -10,7 +10,7 @@ from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
 from tms_fit.live import PREVIEW_PERIOD, REORDER_WINDOW
-from tms_fit.settings import LINEAR, FitSettings
+from tms_fit.settings import FILTERS, LINEAR, FitSettings
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,21 @@ def declare_settings(node: Node) -> Settings:
             "noise where no message states it [rad/s]",
             1e-9,
             10.0,
+        ),
+        gyroscope_range=declare(
+            node,
+            "gyroscope_range",
+            0.0,
+            "at which a reading is saturated, and left out; 0: none is [rad/s]",
+            0.0,
+            1000.0,
+        )
+        or None,
+        filter=declare(
+            node,
+            "filter",
+            FitSettings.filter,
+            f"that runs along: {', '.join(FILTERS)}, which estimates speed and rolling resistance",
         ),
         steer_torque=declare(
             node,
