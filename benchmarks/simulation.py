@@ -30,7 +30,7 @@ EVERYTHING = {
     "strike.lean_rate": 0.1,
     "imu.errors": "all",
     "imu.misalignment_deg": [1.0, -0.5, 0.8],
-    "fusion.on": True,
+    "fusion.enabled": True,
     "floor_vibration.rms": 3.5,
     "padding.natural_frequency": 15.0,
     "wireless.loss": 0.02,

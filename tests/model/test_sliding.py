@@ -14,6 +14,8 @@ from tms_model.acceleration import (
     resistance_load,
 )
 from tms_model.bicycle import Array, Bicycle
+from tms_model.nonlinear_response import moving
+from tms_model.rolling import YAW_RATE
 from tms_model.sliding import SlidingEquations, front_moment, sliding_equations
 
 G = 9.81
@@ -127,3 +129,21 @@ def test_front_weight_by_hand() -> None:
     assert sliding_equations(load_bicycle("tms_table_8_1")).normal_forces[1] == pytest.approx(
         65.5399, abs=1e-4
     )
+
+
+@pytest.mark.parametrize("change", [0.0, -0.5])
+@pytest.mark.parametrize("name", ["benchmark", "tms_table_8_1"])
+def test_force_on_the_front_wheel_is_that_of_the_nonlinear_equations(name: str, change: float) -> None:
+    # Kane's equations know neither these rows nor their letters; near upright both must need the same force.
+    bicycle, speed = load_bicycle(name), 4.0
+    assert bicycle.parameters is not None
+    e, load = sliding_equations(bicycle, change), resistance_load(bicycle.parameters, change)
+    for state in 1e-5 * np.random.default_rng(1).standard_normal((5, 4)):
+        rolling = moving(bicycle, np.array([*state, speed]), load)
+        turn, lean_and_steer = rolling.rates[YAW_RATE], rolling.accelerations[:2]
+        changes = np.array([speed * turn, rolling.accelerations[YAW_RATE], *lean_and_steer])
+        speeds = np.array([0.0, turn, *state[2:]])
+        needed = e.mass @ changes + (speed * e.gyroscopic + e.damping) @ speeds + e.stiffness @ state[:2]
+        front = needed[1] / e.contacts[1, 1]
+        assert front == pytest.approx(rolling.front_contact_force[1], rel=1e-8)
+        np.testing.assert_allclose(e.contacts.T @ [needed[0] - front, front], needed, atol=1e-8 * abs(front))

@@ -89,3 +89,22 @@ def test_a_late_look_sends_no_more_than_fits() -> None:
     while not live.finished:
         live.advance(0)
     assert live.sent == len(live.records)
+
+
+def test_saturated_and_lost_packets_are_counted_as_they_come() -> None:
+    changes = {"wireless.loss": 0.1, "wireless.burst_start": 0.01, "floor_vibration.rms": 8.0}
+    live = LiveRun(load_scenario("gym_run", changes))
+    halves = []
+    for seconds in (3.0, 1e9):
+        until(live, seconds)
+        figures = live.sensor_figures()
+        run = live.run
+        stamps = run.lean_yaw.time_ns
+        made = round((min(live.now_ns, int(stamps[-1])) - run.info.start_ns) / 1e7) + 1  # at 100 Hz
+        assert figures["packets"] == (stamps <= live.now_ns).sum()
+        assert figures["packets"] + figures["lost"] == pytest.approx(made, abs=1)
+        assert figures["lost_share"] == pytest.approx(figures["lost"] / made, rel=0.01)
+        assert figures["saturated"] == (run.lean_yaw.saturation[stamps <= live.now_ns] > 0).sum()
+        halves.append(figures)
+    assert 0 < halves[0]["saturated"] < halves[1]["saturated"]
+    assert 0 < halves[0]["lost"] < halves[1]["lost"]

@@ -426,3 +426,10 @@ def test_rolls_to_a_stop(go: Any) -> None:
     run = go("tms_strike", **COASTING, strike__lean_rate=0.0, duration=60.0)
     assert run.ended_by == "stopped"
     assert run.at(np.array([run.end])).speed[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_handlebars_that_stand_across_end_the_ride(go: Any) -> None:
+    # A feedback this absurd turns the steering over while both wheels slide and the lean stays small.
+    ride = go("gym_linoleum", **{"steer_torque.lean_rate_gain": -940.0, "catch.lean_deg": 0.0})
+    assert ride.ended_by == "fallen"
+    assert abs(ride.at(np.array([ride.end])).steer[0]) <= math.pi / 2.0 + 1e-6

@@ -8,10 +8,12 @@ end, which run_info tells, gives the same run once more.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from tms_bag import Record, topics
+from tms_bag.event import Event
 from tms_model import ParameterError
 
 from tms_sim.keys import checked
@@ -44,6 +46,20 @@ class LiveRun:
     def elapsed(self) -> float:
         """Time since the run's start [s]."""
         return (self.now_ns - self.scenario.integer("start_time_ns")) / 1e9
+
+    def sensor_figures(self) -> dict[str, float]:
+        """The inertial sensor so far: packets arrived, with an axis at its limit, lost by the link."""
+        samples, arrival = self.run.lean_yaw, self.run.imu_arrival_ns
+        come = (samples.time_ns if arrival is None else arrival) <= self.now_ns
+        packets, saturated = int(come.sum()), int((samples.saturation[come] > 0).sum())
+        lost = sum(_lost(one, self.now_ns) for one in self.run.events if one.kind == "loss")
+        return {
+            "packets": packets,
+            "saturated": saturated,
+            "saturated_share": saturated / max(packets, 1),
+            "lost": lost,
+            "lost_share": lost / max(packets + lost, 1),
+        }
 
     def advance(self, elapsed_ns: int) -> list[Record]:
         """What becomes due as time goes on; only what fits into LARGEST_STEP, the rest at the next calls."""
@@ -81,6 +97,14 @@ class LiveRun:
         rng = np.random.default_rng(self.scenario.integer("seed"))
         self.run: SimulatedRun = simulate(self.scenario, rng)
         self.records: list[Record] = list(self.run.records())
+
+
+def _lost(burst: Event, now_ns: int) -> int:
+    """Packets of a burst of losses that were due by now."""
+    share = (now_ns - burst.time_ns) / 1e9 / burst.duration
+    return min(math.floor(share * burst.figures["packets"] + 1.0), int(burst.figures["packets"])) * (
+        share >= 0
+    )
 
 
 def _with_strike(scenario: Scenario, when: float, lean_rate: float, steer_rate: float) -> Scenario:

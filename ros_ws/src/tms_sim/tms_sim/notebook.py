@@ -24,6 +24,7 @@ SHADES = {
 }  # fmt: skip
 TRUE, MEASURED, SECOND, MARKED = "#0072B2", "#888888", "#D55E00", "#CC0000"
 G = 9.81
+HEADROOM = 0.25  # of an axis, for its legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,9 @@ def draw(page: Page) -> Figure:
         one.sharex(axes[1])
         _shade(one, page)
         one.axhline(0.0, color="black", lw=0.5)
-        one.legend(loc="upper left", fontsize=7, ncol=3, framealpha=0.8)
+        low, high = one.get_ylim()
+        one.set_ylim(low, high + HEADROOM * (high - low))
+        one.legend(loc="upper left", fontsize=7, ncol=4, framealpha=0.8)
         one.tick_params(labelbottom=one is axes[5])
     axes[1].set_xlim(0.0, float(page.seconds(page.state.time_ns)[-1]))
     _name_phases(axes[1], page)
@@ -88,8 +91,8 @@ def _path(axes: Axes, page: Page) -> None:
         if event.kind == "strike":
             at = int(np.searchsorted(state.time_ns, event.time_ns))
             axes.plot(*state.rear_contact[min(at, len(state.time_ns) - 1)], "o", color=MARKED, ms=5)
-            axes.annotate(event.text, state.rear_contact[min(at, len(state.time_ns) - 1)], (4, -12),
-                          textcoords="offset points", fontsize=7, color=MARKED)  # fmt: skip
+            axes.annotate(event.text, state.rear_contact[min(at, len(state.time_ns) - 1)], (-4, -14),
+                          textcoords="offset points", ha="right", fontsize=7, color=MARKED)  # fmt: skip
     axes.set(xlabel="ahead [m]", ylabel="to the right [m]", aspect="equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.legend(loc="lower left", fontsize=7, framealpha=0.8)

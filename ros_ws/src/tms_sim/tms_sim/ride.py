@@ -22,6 +22,7 @@ from tms_sim.plant import COPULSE, ONE, PULSE, QUADRATURE, SHIMMY, SIDE, SIZE, S
 from tms_sim.steps import ORDER, longest_step, series
 
 LONGEST = 0.02  # [s]
+ACROSS = math.pi / 2.0  # [rad] of steer; handlebars that stand across end a ride as a fall does
 SOME_LEFT = 0.05  # of the shimmy's amplitude, when the handlebars are let go
 _BLOCK = 64  # steps computed at once while both wheels roll, and
 _SLIDING_BLOCK = 3  # while one slides
@@ -45,7 +46,7 @@ class Ride:
     coefficients: list[Array] = field(default_factory=list)  # (5, k, ORDER + 1) of tms_sim.motion.CHANNELS
     phases: list[tuple[float, int]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    over: bool = False  # beyond the lean limit
+    over: bool = False  # beyond the lean limit, or the handlebars across
     _slides: dict[int, tuple[float, float, float, int]] = field(default_factory=dict)
     _changes: int = 0
 
@@ -119,7 +120,7 @@ class Ride:
         self._keep(begins[: k + 1], terms[: k + 1], speeds[: k + 1])
         self.time = float(begins[k]) + inside
         self.state = inside**_POWERS @ terms[k]
-        self.over = abs(self.state[LEAN]) >= self.lean_limit
+        self.over = abs(self.state[LEAN]) >= self.lean_limit or abs(self.state[STEER]) >= ACROSS
         if not self.over:
             self._choose_mode(rows)
 
@@ -181,7 +182,7 @@ class Ride:
         """By how much each limit is passed (j, k, s) at times (k, s) in k steps; positive: passed."""
         powers = times[..., None] ** _POWERS  # (k, s, m)
         states = powers @ terms  # (k, s, SIZE)
-        margins = [np.abs(states[..., LEAN]) - self.lean_limit]
+        margins = [np.abs(states[..., LEAN]) - self.lean_limit, np.abs(states[..., STEER]) - ACROSS]
         contacts = self.conditions.plant.contacts
         if contacts is not None:
             slopes = powers[..., :-1] @ (terms[:, 1:] * _POWERS[1:, None])

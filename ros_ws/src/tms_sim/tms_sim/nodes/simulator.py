@@ -110,7 +110,7 @@ class Simulator(Node):
 
     def _report(self) -> Report:
         share = 100.0 * self._live.sent / len(self._live.records)
-        figures = {"messages": self._live.sent, "time_ns": self._live.now_ns}
+        figures = {"messages": self._live.sent, "time_ns": self._live.now_ns, **self._live.sensor_figures()}
         return f"{share:.0f} % of the run published", True, figures
 
 
