@@ -20,6 +20,7 @@ from tms_fit.result import to_json, to_table
 from tms_fit.scrutiny import ASKED
 from tms_fit.settings import (
     DEFAULT_FREE,
+    INTERVALS,
     NOISE_MODELS,
     PARAMETERS,
     SATURATIONS,
@@ -232,6 +233,13 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
         help="leave that time out, or find an offset of the yaw rate that fades over it"
         " (default %(default)s)",
     )
+    command.add_argument(
+        "--intervals",
+        choices=INTERVALS,
+        default=FitSettings.intervals,
+        help="95 %% intervals by the covariance, by profiles of the squares, or by residuals drawn anew"
+        " (default %(default)s)",
+    )
 
 
 def _fit(
@@ -252,6 +260,7 @@ def _fit(
         saturation=arguments.saturation,
         slip_window=arguments.slip_window,
         slip=arguments.slip,
+        intervals=arguments.intervals,
         estimators=estimators,
     )
     recording = read_recording(

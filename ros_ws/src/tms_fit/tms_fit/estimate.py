@@ -40,6 +40,7 @@ class Estimate:
     log_likelihood: float = float("nan")  # at the maximum, noise parameters included
     unknown_count: int = 0  # of the likelihood: parameters and noise parameters
     settings: FitSettings | None = None  # as asked for
+    intervals: Array | None = None  # (p, 2) 95 % intervals by another way than the covariance
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -74,7 +75,9 @@ class Estimate:
 
     @property
     def ci95(self) -> Array:
-        """95 % intervals (p, 2), by Student's t: right if the noise is as the noise model says."""
+        """95 % intervals (p, 2): `intervals`, or by Student's t, right if the noise is as its model says."""
+        if self.intervals is not None:
+            return self.intervals
         half = self.quantile * self.std
         return np.stack([self.values - half, self.values + half], axis=1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Any
 
@@ -38,6 +39,7 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
             "saturation": fit.settings.saturation,
             "slip_window": fit.settings.slip_window,
             "slip": fit.settings.slip,
+            "intervals": fit.settings.intervals,
             "window": fit.settings.window,
             "steer_torque": fit.settings.steer_torque,
         },
@@ -88,7 +90,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
         "status": estimate.status,
         "message": estimate.message,
         "parameters": {
-            name: {"value": float(value), "std": float(std), "ci95": [float(low), float(high)]}
+            name: {"value": float(value), "std": float(std), "ci95": [_end(low), _end(high)]}
             for name, value, std, (low, high) in zip(
                 estimate.names, estimate.values, estimate.std, estimate.ci95, strict=True
             )
@@ -104,6 +106,11 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
         "correlation": estimate.correlation.tolist() if estimate.names else [],
         "residual_autocorrelation": estimate.residual_autocorrelation,
     }
+
+
+def _end(value: float) -> float | None:
+    """An end of an interval; None: it is open there."""
+    return float(value) if math.isfinite(value) else None
 
 
 def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:

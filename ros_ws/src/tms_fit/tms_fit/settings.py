@@ -34,6 +34,7 @@ SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
 NOISE_MODELS = ("auto", "white", "ar")
 SATURATIONS = ("drop", "censor", "use")
 SLIPS = ("leave_out", "yaw_offset")
+INTERVALS = ("wald", "profile", "bootstrap")
 FILTERS = ("linear", "extended")
 
 
@@ -62,6 +63,7 @@ class FitSettings:
     saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
     slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
     slip: str = "leave_out"  # what is done with that time, of SLIPS
+    intervals: str = "wald"  # how 95 % intervals are found, of INTERVALS
     filter: str = "linear"  # that runs along, of FILTERS: the speed is given, or estimated with C_r
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
@@ -82,6 +84,7 @@ class FitSettings:
         check_known((self.loss,), LOSSES, "loss")
         check_known((self.saturation,), SATURATIONS, "saturation")
         check_known((self.slip,), SLIPS, "slip")
+        check_known((self.intervals,), INTERVALS, "intervals")
         check_known((self.filter,), FILTERS, "filter")
         if not self.channels:
             raise ParameterError(f"channels: expected at least one of {', '.join(CHANNELS)}, found none")

@@ -14,6 +14,7 @@ from tms_fit.alignment import Sample, Series
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
+from tms_fit.intervals import with_intervals
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
 from tms_fit.strike import NANOSECONDS, Strike
@@ -104,7 +105,8 @@ def fit_strike(
     elif strike.end_ns < strike.time_ns:
         delay = (strike.time_ns - strike.end_ns) / NANOSECONDS
         window = replace(window, delay=delay, delay_std=strike.end_std)
-    estimates = tuple(ESTIMATORS[name](window, settings) for name in settings.estimators)
+    found = (ESTIMATORS[name](window, settings) for name in settings.estimators)
+    estimates = tuple(with_intervals(window, one, settings) for one in found)
     return StrikeFit(strike, stretch, window, estimates, bicycle.name, final)
 
 
