@@ -128,6 +128,15 @@ def test_numbers_are_those_of_fit_run(command: Any, report: Any, bag: Path) -> N
     assert set(numbers(expected)) <= shown
 
 
+def test_profiles_end_where_fit_run_says(command: Any, report: Any, bag: Path) -> None:
+    words = ("--free", "initial_lean_rate,speed", "--window", 1.2, "--estimator", "least_squares")
+    done = command("tms_fit", "run", bag, "--json", "--intervals", "profile", *words)
+    parameters = json.loads(done.out)["strikes"][0]["estimates"][0]["parameters"]
+    data = report(bag, *words).data["data"]["strike-1"]
+    assert data["profile_speed_ends"]["value"] == pytest.approx(parameters["speed"]["ci95"], rel=1e-5)
+    assert "profile_initial_lean_rate" not in data  # straight by nature
+
+
 def test_findings_are_those_of_fit_run(command: Any, report: Any, bag: Path) -> None:
     document = json.loads(command("tms_fit", "run", bag, "--json", "--hypotheses").out)
     (strike,) = document["strikes"]

@@ -7,7 +7,15 @@ from tms_fit.online import StrikeFit
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
 
-UNITS = {"initial_lean": "rad", "initial_steer": "rad", "speed": "m/s", "rolling_resistance": "1"}
+UNITS = {
+    "initial_lean": "rad",
+    "initial_steer": "rad",
+    "speed": "m/s",
+    "rolling_resistance": "1",
+    "strike_time": "s",
+    "lean_rate_gain": "N m s/rad",
+    "mounting_pitch": "rad",
+}
 RATE = "rad/s"
 
 
@@ -17,27 +25,32 @@ def parameter_table(estimate: Estimate) -> Element:
     done = estimate.message[:1].upper() + estimate.message[1:]
     correlation = estimate.correlation
     head = ["parameter", "value", "standard error", "95 % interval", "unit"]
-    head += [f"corr. with {_words(name)}" for name in estimate.names] if len(estimate.names) > 1 else []
+    head += [f"corr. with {words_of(name)}" for name in estimate.names] if len(estimate.names) > 1 else []
     rows: list[list[Element | str]] = []
     for index, name in enumerate(estimate.names):
         places = decimals(float(std[index]))
         low, high = estimate.ci95[index]
         row: list[Element | str] = [
-            _words(name),
+            words_of(name),
             number(float(estimate.values[index]), places),
             number(float(std[index]), places),
             element("span", number(float(low), places), " to ", number(float(high), places), class_="range"),
-            UNITS.get(name, RATE),
+            unit_of(name),
         ]
         if len(estimate.names) > 1:
             row += ["" if j == index else fixed(float(correlation[index, j]), 2) for j in range(len(std))]
         rows.append(row)
     return element(
         "section",
-        element("h3", f"Parameters ({_words(estimate.estimator)})"),
+        element("h3", f"Parameters ({words_of(estimate.estimator)})"),
         element("p", f"{done}. Residual standard deviation {estimate.residual_std:.2g} rad/s."),
         table(head, rows, class_="parameters"),
     )
+
+
+def unit_of(name: str) -> str:
+    """Unit of a parameter."""
+    return UNITS.get(name, RATE)
 
 
 def estimator_table(strike: StrikeFit) -> Element:
@@ -52,9 +65,9 @@ def estimator_table(strike: StrikeFit) -> Element:
             low, high = estimate.ci95[index]
             rate = number(float(estimate.values[index]), places)
             interval = element("span", number(float(low), places), " to ", number(float(high), places))
-        vaf = ", ".join(f"{_words(name)} {fixed(100.0 * v, 1)} %" for name, v in estimate.vaf.items())
+        vaf = ", ".join(f"{words_of(name)} {fixed(100.0 * v, 1)} %" for name, v in estimate.vaf.items())
         rows.append(
-            [_words(estimate.estimator), estimate.status, rate, interval, vaf or NONE, estimate.message]
+            [words_of(estimate.estimator), estimate.status, rate, interval, vaf or NONE, estimate.message]
         )
     head = [
         "estimator",
@@ -67,5 +80,6 @@ def estimator_table(strike: StrikeFit) -> Element:
     return element("section", element("h3", "Estimators"), table(head, rows, class_="estimators"))
 
 
-def _words(name: str) -> str:
+def words_of(name: str) -> str:
+    """A parameter's name in text."""
     return name.replace("_", " ")

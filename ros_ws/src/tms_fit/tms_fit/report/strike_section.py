@@ -28,6 +28,7 @@ from tms_fit.report.filtered import filter_steps, nis, share_inside
 from tms_fit.report.findings import criticism_table, hypotheses_table
 from tms_fit.report.motion import Motion, predicted_motion, true_motion
 from tms_fit.report.parameters import estimator_table, parameter_table
+from tms_fit.report.profiles import profile_charts
 from tms_fit.report.rounding import as_sentence
 from tms_fit.report.section import Section
 from tms_fit.report.sentence import sentence
@@ -46,6 +47,8 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
     both = comparison(fit, index + 1)
     charts, data = _charts(fit, both)
     settings = both.estimate.settings or fit.settings
+    bent, curves = profile_charts(both, settings)
+    charts, data = (*charts, *bent), {**data, **curves}
     budget = error_budget(both.used, settings, both.estimate)
     if budget is not None:
         data |= largest_effects(budget)
