@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tms_bag import topics
+from tms_bag import RecordingError, conversion, topics
 from tms_bag.messages import _store, deserialize, message_type, serialize
-from tms_bag.tables import MessageError, new_table, read_table, rows, stamps
+from tms_bag.samples import ImuSamples
+from tms_bag.tables import MessageError, new_table, read_row, read_table, rows, stamps
 
 TYPES = [
     *sorted(set(topics.TYPES.values()) - {"tms_msgs/msg/RunInfo", "tms_msgs/msg/Event"}),
@@ -125,3 +126,37 @@ def test_bytes_that_are_no_message_are_refused_with_their_row(type_name, damage,
 def test_types_with_texts_have_no_table(type_name):
     with pytest.raises(TypeError, match="has no fixed size"):
         new_table(type_name, np.array([0]), "x")
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_one_message_alone_is_read_as_among_others(type_name: str) -> None:
+    rng = np.random.default_rng(1)
+    for frame in FRAMES:
+        data = serialize(random_message(type_name, rng, frame))
+        table, _ = read_table(type_name, [data])
+        assert read_row(type_name, data).tobytes() == table[0].tobytes()
+        for wrong in (data[:-4], data[:8], b"", data + b"\x00" * 4, b"\x01" + data[1:]):
+            with pytest.raises(
+                MessageError, match=f"expected a {type_name} message, found {len(wrong)} bytes"
+            ):
+                read_row(type_name, wrong)
+
+
+def test_a_reading_alone_is_read_as_a_stream_is() -> None:
+    rng = np.random.default_rng(2)
+    rates = rng.standard_normal((3, 3))
+    rates[1, 2] = np.nan
+    for variance in (np.full(3, np.nan), np.array([1e-4, np.nan, 2e-4])):
+        samples = ImuSamples(np.arange(3) + 5, rates, np.zeros((3, 3)), variance)
+        for row, record in enumerate(conversion.imu_records(samples)):
+            stamp, angular_velocity, told = conversion.imu_reading(record)
+            whole = conversion.imu_samples([record])
+            assert stamp == whole.time_ns[0] == row + 5
+            np.testing.assert_array_equal(angular_velocity, whole.angular_velocity[0])
+            np.testing.assert_array_equal(told, whole.angular_velocity_variance)
+    absent = deserialize(record.data, record.type)
+    none = np.array([-1.0] + [0.0] * 8)  # REP-145: it has no gyroscopes
+    absent = dataclasses.replace(absent, angular_velocity_covariance=none)
+    assert np.isnan(conversion.imu_reading(dataclasses.replace(record, data=serialize(absent)))[1]).all()
+    with pytest.raises(RecordingError, match="/imu/data_raw at 7 ns: expected a"):
+        conversion.imu_reading(dataclasses.replace(record, data=record.data[:40]))

@@ -8,6 +8,7 @@ that it has no orientation; samples with one go to `imu/data`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
@@ -30,7 +31,7 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
 )
-from tms_bag.tables import MessageError, Table, new_table, read_table, rows, stamps
+from tms_bag.tables import MessageError, Table, new_table, read_row, read_table, rows, stamps
 
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
 Messages: TypeAlias = "Iterable[Record] | Columns"  # of one topic, as they come or read as arrays
@@ -48,6 +49,7 @@ _RUN_INFO: dict[str, object] = {
     "bicycle": "", "speed": 0.0, "simulated": False, "seed": 0, "source": "", "version": "",
     "source_sha256": "", "configuration": "",
 }  # fmt: skip
+_RATES = tuple(f"angular_velocity.{axis}" for axis in "xyz")
 _COVARIANCES = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
 
 # What of each topic's messages becomes samples: the rest need not be read.
@@ -109,6 +111,18 @@ def imu_samples(messages: Messages) -> ImuSamples:
         orientation=None if absent.all() else orientation,
         orientation_variance=_variance(turn_covariance[int(np.argmin(absent))]),
     )
+
+
+def imu_reading(record: Record) -> tuple[int, FloatArray, FloatArray]:
+    """Stamp [ns], angular velocity (3,) and its variance (3,) of one message, as `imu_samples` has them."""
+    try:
+        row = read_row(topics.TYPES[topics.IMU], record.data)
+    except MessageError as error:
+        raise RecordingError(f"{record.topic} at {record.time_ns} ns: {error}") from error
+    covariance = row["angular_velocity_covariance"].tolist()
+    rates = [math.nan] * 3 if covariance[0] == -1.0 else [row[name] for name in _RATES]
+    variance = [value if value > 0.0 else math.nan for value in covariance[::4]]
+    return int(row["stamp.sec"]) * 10**9 + int(row["stamp.nanosec"]), np.array(rates), np.array(variance)
 
 
 def magnetic_records(samples: MagneticSamples) -> Iterator[Record]:

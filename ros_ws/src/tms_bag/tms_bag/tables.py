@@ -75,6 +75,16 @@ def read_table(type_name: str, messages: Sequence[bytes]) -> tuple[Table, list[s
     return table, frames
 
 
+def read_row(type_name: str, data: bytes) -> np.void:
+    """One message as `read_table` reads it, in a fraction of the time: for a live stream."""
+    end = _TEXT + int.from_bytes(data[_LENGTH:_TEXT], "little" if data[1:2] == b"\x01" else "big")
+    layout = _row_layout(type_name, data[:2], data[_TEXT : min(end, len(data))])
+    if layout is None or not layout.itemsize <= len(data) <= layout.itemsize + 3:
+        raise MessageError(type_name, 0, len(data))
+    row: np.void = np.frombuffer(data, layout, count=1)[0]
+    return row
+
+
 def stamps(table: Table) -> IntArray:
     """Stamps of the messages (n,) [ns since 1970]."""
     return np.asarray(table["stamp.sec"].astype(np.int64) * 10**9 + table["stamp.nanosec"])
@@ -92,6 +102,15 @@ def _read_group(
             raise MessageError(type_name, row, len(data))
     table: Table = np.frombuffer(b"".join(data[: layout.itemsize] for data in messages), layout)
     return table, text[:-1].decode("utf-8", "replace")
+
+
+@lru_cache(maxsize=256)
+def _row_layout(type_name: str, encapsulation: bytes, text: bytes) -> np.dtype[np.void] | None:
+    """Layout of messages that begin so; None: they aren't messages."""
+    order = ENCAPSULATION.get(encapsulation, "")
+    if not (order and text[-1:] in (b"\x00", b"")):
+        return None
+    return _layout(type_name, len(text), order, padded=False)
 
 
 @lru_cache(maxsize=256)

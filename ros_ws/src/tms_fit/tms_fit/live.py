@@ -155,8 +155,7 @@ class LiveFit:
             self.counts["unreadable"] += 1
 
     def _add_imu(self, record: Record) -> None:
-        imu = conversion.imu_samples([record])
-        time_ns = int(imu.time_ns[0])
+        time_ns, angular_velocity, variance = conversion.imu_reading(record)
         if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
             self.counts["jumps_back"] += 1
             assert self._online is not None
@@ -167,7 +166,7 @@ class LiveFit:
             self.counts["gaps"] += 1
         self._newest_ns = max(self._newest_ns, time_ns)
         assert self._online is not None
-        self._online.add_imu(time_ns, imu.angular_velocity[0], imu.angular_velocity_variance)
+        self._online.add_imu(time_ns, angular_velocity, variance)
 
     def _answers(self) -> list[Record]:
         assert self._online is not None

@@ -70,7 +70,8 @@ class OnlineFit:
         self._previewed_ns = 0
         self._used: list[Sample] = []
         self._strikes: list[Strike] = []
-        self._onsets: list[int] = []
+        self._onsets: list[int] = []  # [ns] of strikes, as far back as samples are kept
+        self._strike_count = 0
         self._latest: Strike | None = None
         self._results: list[StrikeFit | FilterStep] = []
         self._last_step: FilterStep | None = None
@@ -124,7 +125,7 @@ class OnlineFit:
     @property
     def strike_count(self) -> int:
         """Strikes found so far."""
-        return len(self._onsets)
+        return self._strike_count
 
     def refit(self, fit: StrikeFit, bicycle: Bicycle, settings: FitSettings) -> StrikeFit:
         """Fit a strike once more with other settings; a longer window ends where the memory does.
@@ -160,6 +161,7 @@ class OnlineFit:
         if strike is not None:
             self._strikes.append(strike)
             self._onsets.append(strike.onset_ns)
+            self._strike_count += 1
             self._latest = strike
         if self._filter is not None:
             self._run_filter(sample, strike)
@@ -172,6 +174,7 @@ class OnlineFit:
         if not self._strikes and self._used[0].time_ns < sample.time_ns - 2 * MEMORY:
             keep = sample.time_ns - MEMORY
             self._used = [one for one in self._used if one.time_ns > keep]
+            self._onsets = [onset for onset in self._onsets if onset > keep]
             self._aligned.speed.forget(keep)
             self._aligned.steer_torque.forget(keep)
 

@@ -145,12 +145,12 @@ class RunningFilter:
     def _step(self, time_ns: int, good: NDArray[np.bool_], speed: float, reset: bool) -> FilterStep:
         """What the filter says after the update with the good ones of both rates."""
         kalman, count = self._kalman, int(np.count_nonzero(good))
-        innovation, spread, nis = np.full(2, np.nan), np.full((2, 2), np.nan), float("nan")
-        if count:
-            nis = float((kalman.y.T @ kalman.SI @ kalman.y).item())
+        nis = float((kalman.y.T @ kalman.SI @ kalman.y).item()) if count else float("nan")
         if count == 2:
             innovation, spread = kalman.y[:, 0].copy(), kalman.S.copy()
-        elif count:
+        else:
+            innovation, spread = np.full(2, np.nan), np.full((2, 2), np.nan)
+        if count == 1:
             innovation[good] = kalman.y[:, 0]
             spread[np.ix_(good, good)] = kalman.S
         return FilterStep(

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from itertools import takewhile
 
 import numpy as np
 
@@ -97,8 +96,11 @@ class StrikeDetector:
         time_ns = first + sum(when - first for when, _ in self._bin) // count
         rate = sum(value for _, value in self._bin) / count
         self._bin.clear()
-        latest = takewhile(lambda one: one[0] > time_ns - MEAN, self._latest_first(self._rate))
-        values = [rate, *(value for _, value in latest)]
+        values = [rate]
+        for when, value in self._latest_first(self._rate):
+            if when <= time_ns - MEAN:
+                break
+            values.append(value)
         mean = sum(values) / len(values)
         swing, earlier = self._swing(time_ns, mean), self._earlier_memory(time_ns)
         kink = self._kink(time_ns, mean)
@@ -123,8 +125,15 @@ class StrikeDetector:
     def _swing(self, time_ns: int, mean: float) -> float:
         """Largest change from any mean of the last `rise` seconds to this one."""
         since = time_ns - self._settings.rise * NANOSECONDS
-        recent = takewhile(lambda one: one[0] >= since, self._latest_first(self._mean))
-        return max((abs(mean - earlier) for _, earlier in recent), default=0.0)
+        least = most = mean
+        for when, earlier in zip(reversed(self._time), reversed(self._mean), strict=True):
+            if when < since:
+                break
+            if earlier < least:
+                least = earlier
+            elif earlier > most:
+                most = earlier
+        return max(mean - least, most - mean)
 
     def _kink(self, time_ns: int, mean: float) -> float:
         """The mean now less what the two means of the 100 ms before it lead to."""

@@ -1,0 +1,148 @@
+"""What a sample costs the live fit, against filterpy's bare filter; memory of a long stream.
+
+See benchmarks/README.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from measure import Timing, in_turn, print_machine
+from numpy.typing import NDArray
+from tms_bag import Record, conversion, topics
+from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+from tms_fit.live import LiveFit
+from tms_fit.messages import filter_state_record
+from tms_fit.online import OnlineFit
+from tms_fit.running_filter import FilterStep
+from tms_fit.settings import FitSettings
+from tms_model import discretise, linear_system, load_bicycle, response, yaw_rate
+from tms_model.frames import flip_axes, quaternion
+
+Array = NDArray[np.float64]
+SECOND, RATE, SPEED, NOISE = 1_000_000_000, 100, 3.6, 0.02  # [ns], [Hz], [m/s], [rad/s]
+INFO = RunInfo(start_ns=SECOND, bicycle="tms_eq_10_1", speed=SPEED)
+PERIOD = 1500  # samples between strikes
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="few repeats and small sizes: does it run?")
+    parser.add_argument(
+        "--stream", type=int, default=0, metavar="N", help="memory over N samples, with strikes"
+    )
+    asked = parser.parse_args()
+    print_machine(("numpy", "filterpy"))
+    if asked.stream:
+        print_memory(asked.stream)
+        return
+    count, repeats = (150, 3) if asked.quick else (2000, 11)
+    quiet, struck = samples(count, 0.0), samples(count, 0.5)
+    messages, swinging = encoded(quiet), encoded(struck)
+    steps = [one for one in fed(quiet, FitSettings()).results() if isinstance(one, FilterStep)]
+    records = [Record("/" + topics.IMU, topics.TYPES[topics.IMU], 0, data) for kind, data in messages
+               if kind == topics.IMU]  # fmt: skip
+    timings = in_turn(
+        {
+            "filterpy, predict, update, Mahalanobis": lambda: by_filterpy(quiet),
+            "OnlineFit, linear": lambda: fed(quiet, FitSettings()),
+            "OnlineFit, extended": lambda: fed(quiet, FitSettings(filter="extended")),
+            "reading the messages": lambda: [conversion.imu_reading(record) for record in records],
+            "writing the messages": lambda: [filter_state_record(step) for step in steps],
+            "LiveFit, all of these, linear": lambda: taken(messages, 0.0),
+            "LiveFit, strikes, final fits": lambda: taken(swinging, 0.0),
+            "LiveFit, strikes, final fits and previews": lambda: taken(swinging, 0.25),
+        },
+        repeats,
+    )
+    print(f"medians of {repeats} repeats, quartiles in brackets; {count} IMU samples, {count // 5} speeds")
+    for timing in timings.values():
+        print_one(timing, timings["filterpy, predict, update, Mahalanobis"], count)
+
+
+def print_one(timing: Timing, peer: Timing, count: int) -> None:
+    """One line."""
+    low, high = timing.quartiles
+    print(
+        f"  {timing.name:44} {1e3 * timing.median:10.3f} ms  ({1e3 * low:.3f} to {1e3 * high:.3f})"
+        f"  {1e6 * timing.median / count:8.1f} us a sample  {timing.median / peer.median:6.1f} x filterpy"
+    )
+
+
+def print_memory(count: int) -> None:
+    """Largest resident memory after each tenth of a stream."""
+    fit, rng, start_ns = LiveFit(FitSettings()), np.random.default_rng(1), SECOND
+    (info,) = conversion.run_info_records(INFO)
+    fit.take(topics.RUN_INFO, info.data)
+    done, shown = 0, 0
+    while done < count:
+        for topic, data in encoded(samples(PERIOD, 0.5, start_ns, rng))[1:]:
+            fit.take(topic, data)
+        done, start_ns = done + PERIOD, start_ns + PERIOD * (SECOND // RATE)
+        if done * 10 // count > shown:
+            shown = done * 10 // count
+            used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            print(f"  {done:9d} samples, {fit.counts['strikes']:5d} strikes: {used:8.1f} MiB", flush=True)
+
+
+def samples(
+    count: int, lean_rate: float, start_ns: int = SECOND, rng: np.random.Generator | None = None
+) -> ImuSamples:
+    """A ride that is struck a third into it, in axes of the sensor."""
+    time = np.arange(count) / RATE
+    system = linear_system(load_bicycle(INFO.bicycle), SPEED)
+    states = np.zeros((count, 4))
+    after = np.arange(count) >= count // 3
+    states[after] = response(system, np.array([0.0, 0.0, lean_rate, 0.0]), time[after] - time[after][0])
+    rates = np.zeros((count, 3))
+    rates[:, 0], rates[:, 2] = states[:, 2], yaw_rate(system, states)
+    rates += NOISE * (rng or np.random.default_rng(1)).standard_normal(rates.shape)
+    stamps = start_ns + np.arange(count) * (SECOND // RATE)
+    return ImuSamples(stamps, flip_axes(rates), np.zeros_like(rates), np.full(3, NOISE**2))
+
+
+def encoded(imu: ImuSamples) -> list[tuple[str, bytes]]:
+    """The announcement, then all messages in the order of their stamps."""
+    stamps = imu.time_ns[::5]
+    speeds = conversion.speed_records(SpeedSamples(stamps, np.full(len(stamps), SPEED)))
+    records = sorted([*speeds, *conversion.imu_records(imu)], key=lambda record: record.time_ns)
+    announced = next(iter(conversion.run_info_records(INFO)))
+    return [(record.topic.removeprefix("/"), record.data) for record in (announced, *records)]
+
+
+def fed(imu: ImuSamples, settings: FitSettings) -> OnlineFit:
+    """The fit after all samples, without messages."""
+    online = OnlineFit(load_bicycle(INFO.bicycle), settings, quaternion(0.0, 0.0, 0.0), SPEED)
+    for number, stamp in enumerate(imu.time_ns.tolist()):
+        if number % 5 == 0:
+            online.add_speed(stamp, SPEED)
+        online.add_imu(stamp, imu.angular_velocity[number], imu.angular_velocity_variance)
+    return online
+
+
+def taken(messages: list[tuple[str, bytes]], preview_period: float) -> int:
+    """Number of answers."""
+    fit = LiveFit(FitSettings(), preview_period=preview_period)
+    return sum(len(fit.take(topic, data)) for topic, data in messages)
+
+
+def by_filterpy(imu: ImuSamples) -> float:
+    """Sum of the Mahalanobis distances; the matrices are made once."""
+    system = linear_system(load_bicycle(INFO.bicycle), SPEED)
+    kalman = KalmanFilter(dim_x=4, dim_z=2)
+    kalman.F, kalman.Q = discretise(system, 1.0 / RATE)[0], 1e-4 * np.eye(4)
+    kalman.H, kalman.R = np.stack([np.eye(4)[2], system.yaw]), NOISE**2 * np.eye(2)
+    measured, total = imu.angular_velocity[:, [0, 2]] * [1.0, -1.0], 0.0
+    for sample in measured:
+        kalman.predict()
+        kalman.update(sample.reshape(2, 1))
+        total += kalman.mahalanobis
+    return total
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""A live fit that runs for hours: clocks that jump, and memory that stays where it is."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+import tms_fit.live
+from tms_bag import Record, conversion, topics
+from tms_bag.messages import deserialize
+from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+from tms_fit.live import LiveFit
+from tms_fit.settings import FitSettings
+from tms_model import linear_system, load_bicycle, response, yaw_rate
+from tms_model.frames import flip_axes
+
+SECOND = 1_000_000_000
+RATE, SPEED, NOISE = 100, 3.6, 0.02
+PERIOD = 6.0  # [s] between strikes, which come 2 s after the start of each
+INFO = RunInfo(start_ns=SECOND, bicycle="tms_eq_10_1", speed=SPEED)
+
+
+def one_period(start_ns: int, rng: np.random.Generator) -> list[tuple[str, bytes]]:
+    """Messages of a quiet ride of 2 s, a strike of 0.5 rad/s to the right, and what follows."""
+    time = np.arange(round(PERIOD * RATE)) / RATE
+    system = linear_system(load_bicycle(INFO.bicycle), SPEED)
+    since = time[time >= 2.0] - 2.0
+    states = np.zeros((len(time), 4))
+    states[time >= 2.0] = response(system, np.array([0.0, 0.0, 0.5, 0.0]), since)
+    rates = np.zeros((len(time), 3))
+    rates[:, 0], rates[:, 2] = states[:, 2], yaw_rate(system, states)
+    rates += NOISE * rng.standard_normal(rates.shape)
+    stamps = start_ns + np.arange(len(time)) * (SECOND // RATE)
+    imu = ImuSamples(stamps, flip_axes(rates), np.zeros_like(rates), np.full(3, NOISE**2))
+    speed = SpeedSamples(stamps[::5], np.full(len(stamps[::5]), SPEED))
+    records = [*conversion.speed_records(speed), *conversion.imu_records(imu)]
+    records.sort(key=lambda record: record.time_ns)
+    return [(record.topic.removeprefix("/"), record.data) for record in records]
+
+
+def announced() -> tuple[str, bytes]:
+    (record,) = conversion.run_info_records(INFO)
+    return topics.RUN_INFO, record.data
+
+
+def stream(start_ns: int, periods: int) -> Iterator[tuple[str, bytes]]:
+    rng = np.random.default_rng(1)
+    for number in range(periods):
+        yield from one_period(start_ns + round(number * PERIOD * SECOND), rng)
+
+
+def taken(fit: LiveFit, messages: Iterator[tuple[str, bytes]] | list[tuple[str, bytes]]) -> list[Record]:
+    return [answer for topic, data in messages for answer in fit.take(topic, data)]
+
+
+def finals(answers: list[Record]) -> list[bytes]:
+    estimates = [one for one in answers if one.topic == "/estimate"]
+    return [one.data for one in estimates if deserialize(one.data, one.type).final]
+
+
+def test_a_clock_that_jumps_an_hour_ahead_is_a_gap_and_nothing_more() -> None:
+    before, after = list(stream(SECOND, 1)), list(stream(3601 * SECOND, 1))
+    fit = LiveFit(FitSettings())
+    answers = taken(fit, [announced(), *before, *after]) + fit.finish()
+    assert fit.counts["gaps"] == 1
+    assert fit.counts["strikes"] == 2
+    assert "late" not in fit.diagnostics
+    # Every sample was used, and the filter began anew with the first after the jump.
+    states = [deserialize(one.data, one.type) for one in answers if one.topic == "/filter_state"]
+    assert len(states) == 2 * PERIOD * RATE
+    assert [one.header.stamp.sec for one in states if one.reset and one.header.stamp.sec > 3000] == [3601]
+    # What follows the jump is fitted as if nothing had been before.
+    alone = LiveFit(FitSettings())
+    expected = taken(alone, [announced(), *after]) + alone.finish()
+    assert finals(answers)[2:] == finals(expected)
+    assert len(finals(expected)) == 2
+
+
+def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
+    messages = list(stream(SECOND, 2))
+    ahead = next(data for topic, data in stream(3601 * SECOND, 1) if topic == topics.IMU)
+    fit = LiveFit(FitSettings())
+    answers = taken(fit, [announced(), *messages[:620], (topics.IMU, ahead), *messages[620:]]) + fit.finish()
+    assert (fit.counts["gaps"], fit.counts["jumps_back"], fit.counts["strikes"]) == (1, 1, 2)
+    assert len(finals(answers)) == 4
+
+
+def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Ten strikes to fill what is kept, then ten more: 6000 samples of hundreds of bytes each, were they kept.
+    monkeypatch.setattr(tms_fit.live, "MOST_STRIKES", 3)
+    quick = replace(FitSettings(), estimators=("som2011",))
+    fit = LiveFit(quick, preview_period=0.0)
+    messages = stream(SECOND, 20)
+    fit.take(*announced())
+    half = 10 * round(PERIOD * RATE * 1.2)
+    tracemalloc.start()
+    try:
+        sizes = []
+        for _ in range(2):
+            for topic, data in islice(messages, half):
+                fit.take(topic, data)
+            gc.collect()
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert fit.counts["strikes"] >= 19
+    assert sizes[1] - sizes[0] < 0.1 * sizes[0]
