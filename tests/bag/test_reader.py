@@ -263,3 +263,16 @@ def test_two_readings_at_once_do_not_disturb_each_other(bag, run):
     assert [first for first, _ in pairs] == run.records()
     second: list[Record] = [record for _, record in pairs if record]
     assert second == [record for record in run.records() if record.topic == "/imu/data_raw"]
+
+
+def test_files_of_two_bags_in_a_folder_are_not_taken_for_one(tmp_path):
+    make_mcap(tmp_path / "monday_0.mcap", [1, 2])
+    make_mcap(tmp_path / "tuesday_0.mcap", [3])
+    with pytest.raises(RecordingError, match="files of several: monday, tuesday; give one of the files"):
+        BagReader(tmp_path)
+
+
+def test_a_path_longer_than_the_system_allows_is_one_short_line():
+    with pytest.raises(RecordingError, match="can't be read") as found:
+        BagReader("a" * 5000)
+    assert len(str(found.value)) < 300

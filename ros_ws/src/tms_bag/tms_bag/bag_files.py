@@ -12,6 +12,13 @@ SUFFIXES = (".mcap", ".db3")
 
 def files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:
     """The files of a bag, and its metadata.yaml if it has one (that can be read, for `salvage`)."""
+    try:
+        return _files_of(path, salvage)
+    except OSError as error:  # no permission, a name longer than names may be
+        raise RecordingError(f"{str(path)[:200]}: can't be read ({error.strerror})") from error
+
+
+def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata | None]:
     if path.is_file():
         return [path], None
     if not path.is_dir():
@@ -29,6 +36,12 @@ def files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata |
             f"{path}: expected a bag with metadata.yaml or .mcap files, found"
             f" {', '.join(entries) or 'an empty folder'};"
             " give the folder that `bag record`, `sim run` or `ros2 bag record -s mcap` made"
+        )
+    stems = sorted({_split_number(name)[0] for name in names})
+    if stored is None and len(stems) > 1:
+        raise RecordingError(
+            f"{path}: expected the files of one bag, found no metadata.yaml and files of several:"
+            f" {', '.join(stems[:5])}; give one of the files, or a folder for each bag"
         )
     return [_inside(path, name) for name in names], stored
 

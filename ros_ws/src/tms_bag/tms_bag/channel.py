@@ -47,7 +47,12 @@ def stored_channel(
 
 
 def check_encoding(channel: Channel) -> None:
-    """RecordingError if the messages aren't serialised as ROS 2 does it."""
+    """RecordingError if the messages aren't serialised as ROS 2 does it, or nothing says what they are."""
+    if not channel.type:
+        raise RecordingError(
+            f"expected messages of a type with a name, found a topic without schema: {channel.name};"
+            " choose topics without it"
+        )
     if channel.encoding != ENCODING:
         raise RecordingError(
             f"expected messages in ROS 2's encoding {ENCODING}, found {channel.encoding!r} on {channel.name};"

@@ -22,8 +22,11 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # [bytes] opcode and length
 LARGEST_CHUNK = 2**26  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
 
-# What parsing a damaged record can raise, from the mcap library, struct and the decompressors.
-DAMAGE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, zstandard.ZstdError)
+# What reading a damaged record can raise: the mcap library, struct, the decompressors, a disk that fails.
+DAMAGE = (
+    *(McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError),
+    *(zstandard.ZstdError, OSError),
+)
 
 LARGEST_RECORD = LARGEST_CHUNK + 2**16  # [bytes] a chunk that is not compressed, and its head
 
@@ -89,6 +92,8 @@ def chunk_content(record: bytes) -> bytes:
 
 def _unpacked_zstd(packed: bytes, size: int) -> bytes:
     """At most one byte more than `size`, whatever the compressed data say of themselves or hold."""
+    if not packed:  # of nothing, which some writers don't pack
+        return b""
     if zstandard.frame_content_size(packed) == size:
         return zstandard.ZstdDecompressor().decompress(packed)
     with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:

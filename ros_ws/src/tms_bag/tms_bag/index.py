@@ -18,7 +18,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 
 from tms_bag import frames
-from tms_bag.block import Block, begun_block_of, block_of
+from tms_bag.block import MESSAGE_HEAD, Block, begun_block_of, block_of
 from tms_bag.channel import Channel, stored_channel
 from tms_bag.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
 from tms_bag.metadata import custom_data_of_record
@@ -100,7 +100,9 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
             builder.add_metadata(_record_at(file, entry.offset, size, Opcode.METADATA))
         else:
             builder.add_definition(frame.opcode, content)
-    return builder.index_with(statistics[0]) if len(statistics) == 1 else None
+    if len(statistics) != 1 or builder.messages_beside_chunks(footer.summary_start):
+        return None
+    return builder.index_with(statistics[0])
 
 
 def scan(file: BinaryIO, size: int) -> FileIndex:
@@ -147,7 +149,7 @@ class _Builder:
         self.index = FileIndex()
         self._file = file
         self._schemas: dict[int, Schema] = {}
-        self._chunk_count = 0
+        self._chunks: list[tuple[int, int]] = []  # [bytes] from, to; of those in the summary
 
     def add_or_count(self, frame: Frame) -> None:
         """A record of the data section, but for messages; counted as damaged if it can't be read."""
@@ -202,13 +204,29 @@ class _Builder:
         start, stop = entry.chunk_start_offset + HEADER_SIZE, entry.chunk_start_offset + entry.chunk_length
         if not start <= stop <= size:
             raise ValueError(f"chunk from byte {start} to {stop} of {size}")
-        self._chunk_count += 1
+        self._chunks.append((entry.chunk_start_offset, stop + entry.message_index_length))
         if entry.message_index_offsets or entry.message_end_time:  # else there is no message in it
             frame = Frame(Opcode.CHUNK, start, stop)
             channels = frozenset(entry.message_index_offsets) or None  # empty: written without message index
             self.index.spans.append(
                 Span(frame, entry.message_start_time, entry.message_end_time, loose=False, channels=channels)
             )
+        elif entry.uncompressed_size >= HEADER_SIZE + MESSAGE_HEAD and not entry.message_index_length:
+            raise ValueError("a chunk without message index, which may hold messages of time 0")
+
+    def messages_beside_chunks(self, stop: int) -> bool:
+        """Whether messages stand before byte `stop` that are in no chunk of the summary."""
+        place = len(MAGIC)
+        for start, end in [*sorted(self._chunks), (stop, stop)]:
+            while place < start:
+                frame = frames.frame_at(self._file, place, stop)
+                if frame is None or frame.opcode in (Opcode.MESSAGE, Opcode.CHUNK):
+                    return True
+                place = frame.stop
+            if place > start:
+                return True  # they overlap: whoever made this summary isn't to be believed
+            place = end
+        return False
 
     def index_with(self, statistics: Statistics) -> FileIndex | None:
         """The index with the counts of the summary; None if the summary leaves something out."""
@@ -216,7 +234,7 @@ class _Builder:
         known = (
             counts.keys() <= self.index.channels.keys() and sum(counts.values()) == statistics.message_count
         )
-        indexed = statistics.chunk_count == self._chunk_count and (
+        indexed = statistics.chunk_count == len(self._chunks) and (
             self.index.spans or not statistics.message_count
         )
         if not (known and indexed):

@@ -26,6 +26,9 @@ class McapSource:
         self.size = os.fstat(self._file.fileno()).st_size
         try:
             self.index = self._index(salvage, may_be_empty)
+        except OSError as error:
+            self._file.close()
+            raise RecordingError(f"{path}: can't be read ({error.strerror})") from error
         except BaseException:
             self._file.close()
             raise

@@ -67,7 +67,7 @@ class BagReader:
         listed = stored is not None or self.path.is_file()
         self.complete = listed and all(index.complete for index in self._indexes)
         self.warnings = tuple(
-            _unfinished(file.path, file.index) for file in self._files if not file.index.complete
+            text for file in self._files for text in (_unfinished(file), _undefined(file)) if text
         )
 
     def __enter__(self) -> BagReader:
@@ -289,14 +289,27 @@ def _opened(path: Path, salvage: bool, alone: bool) -> McapSource | Db3Source:
     return McapSource(path, salvage, may_be_empty=salvage and not alone)  # the others may hold something
 
 
-def _unfinished(path: Path, index: FileIndex) -> str:
+def _unfinished(file: McapSource | Db3Source) -> str:
     """What is wrong with a file that wasn't closed properly, and how far it goes."""
+    index = file.index
+    if index.complete:
+        return ""
     until = f"messages until {index.time_range[1]} ns are here" if index.time_range else "no message is here"
     damaged = f", {index.damaged_chunks} damaged parts are left out" if index.damaged_chunks else ""
     return (
-        f"{path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until},"
+        f"{file.path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until},"
         f" {index.unread_bytes} bytes at its end can't be read{damaged};"
         " `tms bag repair` makes a clean bag of it"
+    )
+
+
+def _undefined(file: McapSource | Db3Source) -> str:
+    """How many messages of a file nobody can attribute to a topic."""
+    count = sum(n for number, n in file.index.counts.items() if number not in file.index.channels)
+    return (
+        f"{file.path}: {count} messages are of channels that the file doesn't define: left out"
+        if count
+        else ""
     )
 
 

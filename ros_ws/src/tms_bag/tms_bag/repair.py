@@ -43,7 +43,7 @@ def repair(
         if not bag.message_count:
             raise RecordingError(
                 f"{source}: expected messages to recover, found none ({unread} bytes can't be read);"
-                " the recorder was stopped before it had written the first ones"
+                " it ends before its first part (chunk) is complete"
             )
         original = None if output is not None else _place_for_original(source)
         target = source if output is None else Path(output)
