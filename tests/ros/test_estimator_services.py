@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +96,18 @@ def test_a_bag_is_fitted_with_progress(nodes: Any, participant: Any, bag: Path) 
     assert_same(result.estimates, offline(bag))
     assert told == sorted(told)
     assert len(told) > 10
+    fifo = bag.parent / "fifo"
+    os.mkfifo(fifo)
     for wrong, text in (
         ({"bag": "nowhere"}, "nowhere"),
         ({"bag": str(bag), "bicycle": "nonsense"}, "nonsense"),
+        ({"bag": ""}, "found nothing"),
+        ({"bag": "/dev/zero"}, "isn't a file"),
+        ({"bag": "/proc/self/mem"}, "can't be read"),
+        ({"bag": str(fifo)}, "isn't a file"),
+        ({"bag": str(bag.parent)}, "expected a bag"),
+        ({"bag": str(bag), "window": float("nan")}, "window: expected"),
+        ({"bag": str(bag), "fixed_names": ["speed"] * 2, "fixed_values": [1.0, 2.0]}, "speed twice"),
     ):
         status, result = ask(**wrong)
         assert status == GoalStatus.STATUS_ABORTED

@@ -81,6 +81,8 @@ class BagFits:
         """In the thread."""
         request: Any = goal.request
         settings = asked_for(self._settings, request)
+        if not request.bag:  # which would be the folder where the estimator was started
+            raise RecordingError("bag: expected the path of a bag, found nothing")
         recording = read_recording(request.bag)
         return fit_recording(
             recording,

@@ -99,6 +99,9 @@ def asked_for(base: FitSettings, request: Any) -> FitSettings:
             f"fixed_values: expected {len(request.fixed_names)}, one for each of fixed_names, found"
             f" {len(request.fixed_values)}"
         )
+    twice = sorted({name for name in request.fixed_names if request.fixed_names.count(name) > 1})
+    if twice:
+        raise ParameterError(f"fixed_names: expected each name once, found {', '.join(twice)} twice")
     return replace(
         base,
         free=tuple(request.free) or base.free,
