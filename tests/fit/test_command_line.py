@@ -369,3 +369,20 @@ def test_hypotheses_and_budget_on_request(command: Any, bag: Path) -> None:
     text = command("tms_fit", "run", bag, "--hypotheses", "--budget").out
     assert told["constant speed"]["sentence"] in text
     assert "error budget of the initial lean rate" in text
+
+
+def test_a_confident_wrong_answer_is_said_to_be_doubtful(
+    command: Any, bag: Path, make_run: Any, tmp_path: Path
+) -> None:
+    # The strike of gym_run kicks the steering: without a steer rate the interval misses the truth.
+    run = make_run("gym_run", duration=6.0)
+    kicked = write(tmp_path / "kicked", run.records())
+    (strike,) = json.loads(command("tms_fit", "run", kicked, "--json").out)["strikes"]
+    truth = float(run.state.state[np.searchsorted(run.state.time_ns, strike["time_ns"]) + 1, 2])
+    low, _ = strike["estimates"][0]["parameters"]["initial_lean_rate"]["ci95"]
+    assert low > truth
+    assert strike["doubt"]["parameter"] == "initial_steer_rate"
+    assert strike["doubt"]["sentence"] in command("tms_fit", "run", kicked).out
+    # Where the model is right nothing is said.
+    assert json.loads(command("tms_fit", "run", bag, "--json").out)["strikes"][0]["doubt"] is None
+    assert "doubtful" not in command("tms_fit", "run", bag).out

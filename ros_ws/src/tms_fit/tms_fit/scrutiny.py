@@ -8,6 +8,7 @@ from typing import Any
 
 from tms_fit.budget import Budget, error_budget
 from tms_fit.criticism import criticise
+from tms_fit.doubt import Doubt, doubt
 from tms_fit.estimate import Estimate
 from tms_fit.hypotheses import Verdict, verdicts
 from tms_fit.online import StrikeFit
@@ -18,8 +19,11 @@ ASKED = ("hypotheses", "budget")
 
 
 def scrutiny_json(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> dict[str, Any]:
-    """What is asked of one strike, by its name in ASKED; null where it can't be said."""
-    found: dict[str, Any] = {}
+    """What makes the first estimate doubtful, and what is asked, by name; null: nothing to say."""
+    about = _doubt_of(fit, settings)
+    found: dict[str, Any] = {
+        "doubt": {"parameter": about.parameter or None, "sentence": about.sentence} if about else None
+    }
     if "hypotheses" in asked:
         told = verdicts(fit.window, settings) if fit.window else ()
         found["hypotheses"] = [_verdict(one) for one in told]
@@ -34,6 +38,9 @@ def scrutiny_lines(fit: StrikeFit, settings: FitSettings, asked: Collection[str]
     lines: list[str] = []
     if fit.window is None:
         return lines
+    about = _doubt_of(fit, settings)
+    if about:
+        lines.append(about.sentence)
     if "hypotheses" in asked:
         lines.append(criticise(fit.window, fit.estimates[0]).verdict)
         lines.extend(verdict.sentence for verdict in verdicts(fit.window, settings))
@@ -81,6 +88,10 @@ def _verdict(one: Verdict) -> dict[str, Any]:
         "sentence": one.sentence,
         **{name: value if math.isfinite(value) else None for name, value in figures.items()},
     }
+
+
+def _doubt_of(fit: StrikeFit, settings: FitSettings) -> Doubt | None:
+    return doubt(fit.window, settings, fit.estimates[0]) if fit.window is not None else None
 
 
 def _budget_of(fit: StrikeFit, settings: FitSettings) -> Budget | None:
