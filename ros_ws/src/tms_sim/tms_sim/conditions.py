@@ -9,12 +9,14 @@ import numpy as np
 from tms_model import Bicycle, ParameterError, load_bicycle
 from tms_model.acceleration import effective_mass, parameters_under_acceleration
 from tms_model.bicycle import Array
+from tms_model.nonlinear import Load
 from tms_model.parameters import WhippleParameters
 from tms_model.sliding import sliding_equations
 
 from tms_sim.contact import Contacts
 from tms_sim.floor import Floor, load_floor, load_wheels
 from tms_sim.intervention import Intervention, changed_bicycle, load_intervention
+from tms_sim.nonlinear_ride import nonlinear_load
 from tms_sim.plant import Plant
 from tms_sim.scenario import Scenario
 from tms_sim.shimmy import Shimmy, shimmy_of, torque_per_angle
@@ -55,6 +57,7 @@ class Conditions:
     lean: float  # [rad] at the release
     lean_rate: float  # [rad/s] at the release
     phase: float  # [rad] of the shimmy at the release
+    load: Load | None = None  # what slows the nonlinear bicycle; None: the linear one rides
 
     def speed(self, time: float) -> float:
         """Speed [m/s] after the release."""
@@ -95,6 +98,9 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
         lean=math.radians(scenario.number("release.lean_deg")) * rng.standard_normal(),
         lean_rate=scenario.number("release.lean_rate") * rng.standard_normal(),
         phase=rng.uniform(0.0, 2.0 * math.pi),
+        load=nonlinear_load(scenario, bicycle, acceleration)
+        if scenario.switch("effects.nonlinear")
+        else None,
     )
     end = min(scenario.number("duration"), start.stop)
     return replace(start, joints=tuple(_joints(start, floor, end, rng)))

@@ -57,6 +57,11 @@ KEYS: dict[str, Key] = {
     "effects.scrub": Key(bool, "wheels resist turning on the spot", default=False),
     "effects.joints": Key(bool, "joints of the floor kick the steering", default=False),
     "effects.shimmy": Key(bool, "the steering oscillates by itself", default=False),
+    "effects.nonlinear": Key(
+        bool,
+        "the nonlinear bicycle rides, on wheels that roll; the run tells how far it departs",
+        default=False,
+    ),
     "run_up.duration": Key(
         float, "time until the release, handlebars held; 0: released at the start [s]", 0.0, 600.0, 0.0
     ),

@@ -67,6 +67,7 @@ class ContactGeometry:
     wheelbase: float  # w [m]
     trail: float  # c [m]
     steer_axis_tilt: float  # lambda_s [rad]
+    rolls: bool = False  # its wheel rolls at any angle, which the first order of `front_slip` doesn't show
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +169,8 @@ class Trajectory:
         aside = -self.geometry.trail * cos_tilt
         sin, cos = np.sin(yaw[0]), np.cos(yaw[0])
         front = rear + np.stack([w * cos - aside * steer[0] * sin, w * sin + aside * steer[0] * cos], axis=1)
+        if self.geometry.rolls:
+            return front, np.zeros(len(front))
         return front, slip[0] + w * yaw[1] + aside * steer[1] - speed[0] * cos_tilt * steer[0]
 
 

@@ -7,8 +7,10 @@ and caught before it falls or when it has lost its speed.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from tms_model.bicycle import Array
@@ -27,6 +29,7 @@ from tms_sim.motion import (
     SteerTorque,
     Trajectory,
 )
+from tms_sim.nonlinear_ride import departure
 from tms_sim.plant import SIDE, TURN, YAW
 from tms_sim.ride import Ride, initial_state
 from tms_sim.scenario import Scenario
@@ -42,6 +45,15 @@ def ride(scenario: Scenario, rng: np.random.Generator) -> Trajectory:
 
     Raises ParameterError for names that are unknown and effects that need more of a bicycle than is known.
     """
+    if not scenario.switch("effects.nonlinear"):
+        return _ride(scenario, rng)
+    linear = replace(scenario, values={**scenario.values, "effects.nonlinear": False})
+    other = _ride(linear, copy.deepcopy(rng))  # from the same release
+    trajectory = _ride(scenario, rng)
+    return replace(trajectory, events=(departure(trajectory, other), *trajectory.events))
+
+
+def _ride(scenario: Scenario, rng: np.random.Generator) -> Trajectory:
     now = conditions(scenario, rng)
     under_way = Ride(now, _lean_limit(scenario), now.release, initial_state(now))
     if now.release > 0.0:
@@ -59,6 +71,7 @@ def ride(scenario: Scenario, rng: np.random.Generator) -> Trajectory:
     under_way.span(until)
     if under_way.over:
         reason = "caught" if scenario.number("catch.lean_deg") else "fallen"
+        reason = "stopped" if under_way.stopped else reason
     under_way.finish()
     end = under_way.time
     if reason == "caught":
@@ -171,7 +184,9 @@ def _trajectory(scenario: Scenario, under_way: Ride, end: float, reason: str) ->
         starts=np.concatenate(under_way.starts),
         coefficients=np.concatenate(under_way.coefficients, axis=1),
         end=end,
-        geometry=ContactGeometry(bicycle.wheelbase, bicycle.trail, bicycle.steer_axis_tilt),
+        geometry=ContactGeometry(
+            bicycle.wheelbase, bicycle.trail, bicycle.steer_axis_tilt, rolls=now.load is not None
+        ),
         phase_starts=np.array([time for time, _ in phases]),
         phases=np.array([phase for _, phase in phases], np.uint8),
         torque=SteerTorque(

@@ -8,16 +8,18 @@ and the instant is found to rounding.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from tms_model import ParameterError
 from tms_model.bicycle import Array
+from tms_model.nonlinear import Load
 from tms_model.response import LEAN, LEAN_RATE, STEER, STEER_RATE
 
 from tms_sim.conditions import Conditions, Joint, Strike
 from tms_sim.contact import MARGIN, ROLLING, STILL, Mode
 from tms_sim.motion import RESPONSE, STRIKE, Event
+from tms_sim.nonlinear_ride import free_ride
 from tms_sim.plant import COPULSE, ONE, PULSE, QUADRATURE, SHIMMY, SIDE, SIZE, SPEEDS, TURN, YAW
 from tms_sim.steps import ORDER, longest_step, series
 
@@ -47,6 +49,7 @@ class Ride:
     phases: list[tuple[float, int]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     over: bool = False  # beyond the lean limit, or the handlebars across
+    stopped: bool = False  # stands still before its speed was to end
     _slides: dict[int, tuple[float, float, float, int]] = field(default_factory=dict)
     _changes: int = 0
 
@@ -89,10 +92,27 @@ class Ride:
 
     def span(self, until: float, strike: Array | None = None, rate: float = 0.0) -> None:
         """Go on until a time, under a strike (4,) that rises and falls at `rate` [rad/s], or none."""
+        if strike is None and self.conditions.load is not None:
+            self._free_ride(until, self.conditions.load)
+            return
         rows = np.zeros(4) if strike is None else strike
         self._choose_mode(rows)
         while not self.over and until - self.time > 1e-12:
             self._block(until, rows, rate)
+
+    def _free_ride(self, until: float, load: Load) -> None:
+        """The nonlinear bicycle until a time."""
+        c, state = self.conditions, self.state.copy()
+        if until - self.time <= 1e-12:
+            return
+        initial = np.array([*state[:4], c.speed(self.time), state[YAW], 0.0, 0.0])
+        free = free_ride(c.plant.bicycle, load, initial, until - self.time, (self.lean_limit, ACROSS))
+        self.starts.append(self.time + free.begins)
+        self.coefficients.append(free.coefficients)
+        self.time = until if not free.over else self.time + free.end
+        state[:4], state[YAW], state[TURN] = free.state[:4], free.state[5], free.yaw_rate
+        self.state, self.over, self.stopped = state, free.over, free.stopped
+        self.conditions = replace(c, launch_speed=float(free.state[4]), release=self.time)
 
     def finish(self) -> None:
         """Close what is still open at the end."""
