@@ -14,6 +14,7 @@ from tms_model.acceleration import (
     STAND_INS,
     Resistance,
     acceleration_stiffness,
+    coasting_loss,
     effective_mass,
     parameters_under_acceleration,
     resistance_load,
@@ -248,3 +249,11 @@ def test_the_skate_of_table_7_1_tips_forward() -> None:
 def test_a_skate_that_tips_forward_may_still_roll_at_constant_speed() -> None:
     p = whipple_parameters(load_bicycle(TIPS_FORWARD))
     np.testing.assert_array_equal(acceleration_stiffness(p, 0.0), np.zeros((2, 2)))
+
+
+def test_rolling_resistance_slows_what_spins_less() -> None:
+    # By hand: m_eff v' = -C_r m g. Without spin of the wheels m_eff is m; the benchmark's wheels have
+    # I/r^2 = 0.12/0.3^2 + 0.28/0.35^2 = 3.619 kg beside 94 kg.
+    assert coasting_loss(load_bicycle("tms_unrounded_8_1")) == load_bicycle("tms_unrounded_8_1").gravity
+    benchmark = load_bicycle("benchmark")
+    assert coasting_loss(benchmark) == pytest.approx(benchmark.gravity * 94.0 / 97.619047619, rel=1e-9)

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
-from tms_model.acceleration import acceleration_stiffness, effective_mass, parameters_under_acceleration
+from tms_model.acceleration import acceleration_stiffness, coasting_loss, parameters_under_acceleration
 from tms_model.bicycle import Array
 from tms_model.exponential import expm
 from tms_model.parameters import WhippleParameters
@@ -63,13 +63,12 @@ class Coasting:
         zero = first_order(mass, none, none)
         self._linear[:4, :4] = first_order(mass, bicycle.damping, none) - zero
         self._square[:4, :4] = first_order(mass, none, bicycle.stiffness2) - zero
-        self.loss = bicycle.gravity  # [m/s^2] of speed lost a second, per unit of C_r
+        self.loss = coasting_loss(bicycle)  # [m/s^2] of speed lost a second, per unit of C_r
         self._changing = np.zeros((len(_NODES), *size))  # coefficients of K by powers of v', from v'^0 on
         try:
             parameters, _ = parameters_under_acceleration(bicycle)
         except ParameterError:
             return
-        self.loss *= _mass(parameters) / effective_mass(parameters)
         for power, one in enumerate(_stiffness_polynomial(parameters)):
             self._changing[power, :4, :4] = first_order(mass, none, one) - zero
 
@@ -137,10 +136,6 @@ def _stiffness_polynomial(p: WhippleParameters) -> Array:
         scaled: Array = powers.reshape(-1, 2, 2) / reach ** np.arange(len(_NODES))[:, None, None]
         return scaled
     return np.zeros((len(_NODES), 2, 2))
-
-
-def _mass(p: WhippleParameters) -> float:
-    return p.rear_wheel_mass + p.rear_frame_mass + p.front_frame_mass + p.front_wheel_mass
 
 
 def _commutator(first: Array, second: Array) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_bag import RecordingError
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
@@ -122,7 +123,7 @@ def _foreseeable(shown: Window, used: Window, estimate: Estimate) -> Window:
     values = estimate.complete
     if "rolling_resistance" in values:
         start = values.get("speed", used.start_speed)
-        speed = start - values["rolling_resistance"] * used.bicycle.gravity * shown.time
+        speed = start - values["rolling_resistance"] * coasting_loss(used.bicycle) * shown.time
         low, high = SLOWEST_SHARE * start, np.inf
     else:
         speed, inside = used.speed.at(shown.time), used.speed.at(used.time)

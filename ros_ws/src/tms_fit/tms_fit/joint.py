@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from tms_model import Bicycle, ParameterError, with_parameters
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 from tms_model.changes import MATRIX_ENTRIES, numbers_of
 from tms_model.measured import Measured
@@ -166,7 +167,7 @@ def _first(problem: JointProblem, name: str) -> float:
 def _start(window: Window, name: str) -> float:
     """Value of a parameter before anything is fitted."""
     if name == "rolling_resistance" and not window.speed.constant:
-        return -float(window.speed.coefficients[1]) / window.bicycle.gravity
+        return -float(window.speed.coefficients[1]) / coasting_loss(window.bicycle)
     if name in NONLINEAR:
         return known_values(window).get(name, 0.0)
     return numbers_of(window.bicycle).get(name, 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 from tms_model.exponential import expm
 from tms_model.response import FASTEST, state_matrix, torque_column, yaw_row
@@ -47,9 +48,9 @@ def known_values(window: Window) -> dict[str, float]:
 def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
     """Motion of a window for nonlinear parameters by name; those left out are as `known_values` says.
 
-    Without `rolling_resistance`, the speed runs parallel to the window's curve; with it, it falls by C_r g
-    per second, whatever the curve. Raises ParameterError for a speed of zero or less at some sample, for a
-    start after the first sample, and for a bicycle that can't tell what a changing speed does.
+    Without `rolling_resistance`, the speed runs parallel to the window's curve; with it, it falls by
+    C_r g m / m_eff per second, whatever the curve. Raises ParameterError for a speed of zero or less at some
+    sample, for a start after the first sample, and for a bicycle that can't tell what a changing speed does.
     """
     values = {**known_values(window), **nonlinear}
     start = values["strike_time"]
@@ -58,7 +59,7 @@ def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
     times = np.append(start, window.time)
     bicycle = _with_feedback(window.bicycle, values["lean_rate_gain"])
     if "rolling_resistance" in values:
-        falling = values["rolling_resistance"] * bicycle.gravity
+        falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
         speeds = values["speed"] - falling * (times - start)
     elif window.speed.constant:
         speeds = np.full(len(times), values["speed"])

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from tms_model import ParameterError
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
 from tms_fit.motion import known_values
@@ -177,7 +178,7 @@ def starting_values(problem: Problem) -> Array:
     window = problem.window
     known = known_values(window)
     if not window.speed.constant and "rolling_resistance" in problem.nonlinear:
-        known["rolling_resistance"] = -float(window.speed.coefficients[1]) / window.bicycle.gravity
+        known["rolling_resistance"] = -float(window.speed.coefficients[1]) / coasting_loss(window.bicycle)
     if "strike_time" in problem.nonlinear and not window.delay:
         known["strike_time"] = -0.5 * window.longest_delay
     first = [

@@ -21,7 +21,7 @@ SLIP = "slip_yaw_rate"  # [rad/s] at the start, falling to zero in a straight li
 LINEAR = (*INITIAL, *BIASES, SLIP)
 NONLINEAR = (
     "speed",  # [m/s] at the start of the free response
-    "rolling_resistance",  # C_r [-]: the speed falls by C_r g per second
+    "rolling_resistance",  # C_r [-]: the speed falls by C_r g m / m_eff per second
     "strike_time",  # [s] start of the free response, from the window's first sample on; not positive
     "lean_rate_gain",  # [N m s/rad] steer torque per lean rate, by a controller
     "mounting_pitch",  # [rad] of the sensor, nose up: leaks lean rate into its yaw rate

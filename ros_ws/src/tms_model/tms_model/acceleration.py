@@ -85,6 +85,18 @@ def effective_mass(p: WhippleParameters) -> float:
     )
 
 
+def coasting_loss(bicycle: Bicycle) -> float:
+    """Speed that a rolling resistance of C_r = 1 takes in a second [m/s^2]: g m / m_eff.
+
+    For a bicycle of which only matrices are known, and nothing stands in, g: wheels without spin.
+    """
+    try:
+        p, _ = parameters_under_acceleration(bicycle)
+    except ParameterError:
+        return bicycle.gravity
+    return bicycle.gravity * (_totals(p).mass / effective_mass(p))
+
+
 def resistance_load(p: WhippleParameters, acceleration: float, resistance: Resistance = "rolling") -> Load:
     """The forces that give the upright bicycle this acceleration [m/s^2]; negative decelerates.
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError, load_bicycle
-from tms_model.acceleration import effective_mass, parameters_under_acceleration
+from tms_model.acceleration import coasting_loss, parameters_under_acceleration
 from tms_model.bicycle import Array
 from tms_model.nonlinear import Load
-from tms_model.parameters import WhippleParameters
 from tms_model.sliding import sliding_equations
 
 from tms_sim.contact import Contacts
@@ -80,9 +79,8 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
     bicycle = _bicycle(scenario, intervention)
     acceleration = 0.0
     if floor.rolling_resistance:
-        parameters, _ = parameters_under_acceleration(bicycle)
-        acceleration = -floor.rolling_resistance * bicycle.gravity * _mass(parameters)
-        acceleration /= effective_mass(parameters)
+        parameters_under_acceleration(bicycle)  # refuses a bicycle that can't tell what that does
+        acceleration = -floor.rolling_resistance * coasting_loss(bicycle)
     release = scenario.number("run_up.duration")
     wanted, first = scenario.number("speed_at_strike"), scenario.numbers("strike.time")[0]
     launch = wanted - acceleration * (first - release) if wanted else scenario.number("speed")
@@ -126,10 +124,6 @@ def _bicycle(scenario: Scenario, intervention: Intervention) -> Bicycle:
     elements = bicycle.steer_elements
     gain = elements.lean_rate_gain + scenario.number("steer_torque.lean_rate_gain")
     return replace(bicycle, steer_elements=replace(elements, lean_rate_gain=gain))
-
-
-def _mass(p: WhippleParameters) -> float:
-    return p.rear_wheel_mass + p.rear_frame_mass + p.front_frame_mass + p.front_wheel_mass
 
 
 def _plant(
