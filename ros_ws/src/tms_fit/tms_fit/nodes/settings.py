@@ -10,7 +10,29 @@ from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
 from tms_fit.live import PREVIEW_PERIOD, REORDER_WINDOW
-from tms_fit.settings import FILTERS, LINEAR, FitSettings
+from tms_fit.losses import LOSSES
+from tms_fit.settings import (
+    FILTERS,
+    INTERVALS,
+    NOISE_MODELS,
+    PARAMETERS,
+    SATURATIONS,
+    SLIPS,
+    SPEED_MODELS,
+    STEER_TORQUES,
+    FitSettings,
+)
+
+CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "filter": ("filter that runs along; extended estimates speed and rolling resistance", FILTERS),
+    "intervals": ("how 95 % intervals are found", INTERVALS),
+    "loss": ("how much a residual counts", tuple(LOSSES)),
+    "noise": ("noise model", NOISE_MODELS),
+    "saturation": ("what saturated samples are taken for", SATURATIONS),
+    "slip": ("what is done with the slip window", SLIPS),
+    "speed_model": ("the speed after a strike", SPEED_MODELS),
+    "steer_torque": ("how a known torque enters", STEER_TORQUES),
+}
 
 
 @dataclass(frozen=True)
@@ -29,9 +51,13 @@ def declare_settings(node: Node) -> Settings:
     bicycle = declare(
         node, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names"
     )
-    free = declare(node, "free", [""], f"parameters to estimate, of {', '.join(LINEAR)}; empty: the default")
+    free = declare(
+        node, "free", [""], f"parameters to estimate, of {', '.join(PARAMETERS)}; empty: the default"
+    )
+    fixed = declare(node, "fix", [""], "known parameters as NAME=VALUE, SI units, such as speed=3.6")
     fit = FitSettings(
         free=tuple(name for name in free if name) or None,
+        fixed=dict(_fixed(text) for text in fixed if text),
         window=declare(node, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
         gyroscope_noise=declare(
             node,
@@ -50,19 +76,19 @@ def declare_settings(node: Node) -> Settings:
             1000.0,
         )
         or None,
-        filter=declare(
+        slip_window=declare(
             node,
-            "filter",
-            FitSettings.filter,
-            f"that runs along: {', '.join(FILTERS)}, which estimates speed and rolling resistance",
-        ),
-        steer_torque=declare(
-            node,
-            "steer_torque",
-            FitSettings.steer_torque,
-            "how a known torque enters: auto, feedback, input, ignore",
+            "slip_window",
+            FitSettings.slip_window,
+            "time after a strike in which the front wheel slips [s]",
+            0.0,
+            10.0,
         ),
         estimators=tuple(declare(node, "estimators", list(FitSettings.estimators), "estimators, in order")),
+        **{
+            name: declare(node, name, getattr(FitSettings, name), f"{what}: {', '.join(choices)}")
+            for name, (what, choices) in CHOICES.items()
+        },
     )
     return Settings(
         fit=fit,
@@ -87,6 +113,16 @@ def declare_settings(node: Node) -> Settings:
             60.0,
         ),
     )
+
+
+def _fixed(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    try:
+        if equals:
+            return name.strip(), float(value)
+    except ValueError:
+        pass
+    raise ParameterError(f"parameter fix: expected NAME=VALUE, found {text!r}")
 
 
 def asked_for(base: FitSettings, request: Any) -> FitSettings:
