@@ -103,7 +103,7 @@ def test_a_bag_is_replaced_only_with_force(command, refused, log, bag):
         ),
         (CSV, ["--mapping", "delft_sbw", "--bicycle", "nope"], "unknown bicycle 'nope'"),
         (CSV, ["--mapping", "delft_sbw", "--missing", "guess"], "invalid choice: 'guess'"),
-        ("a,b\n1,2\n", ["--mapping", "delft_sbw"], "expected the columns 'lean_angle'"),
+        ("a,b\n1,2\n", ["--mapping", "delft_sbw"], "expected the columns 'lean_rate'"),
         (CSV.replace("0.2", "fast", 1), ["--mapping", "delft_sbw"], "line 2, column 'lean_rate'"),
         (CSV.replace("0.2", "", 1), ["--mapping", "delft_sbw"], "--missing skip"),
         (CSV.replace("0.2", "nan", 1), ["--mapping", "delft_sbw"], "--missing skip"),
@@ -157,3 +157,14 @@ print(len(names), tms_bag.read_recording(sys.argv[1]).imu.time_ns.size)
     modules, samples = map(int, result.stdout.split())
     assert modules > 15
     assert samples == 300
+
+
+def test_a_sibling_log_without_the_optional_columns_says_what_it_lacks(command, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("sil_command,speed,lean_rate\n" + "1.0,3.0,0.2\n" * 3)
+    done = command("tms_bag", "import-csv", log, "--mapping", "delft_sbw", "-o", tmp_path / "bag")
+    assert done.code == 0, done.err
+    assert "not in this log, or empty: lean ('lean_angle'), specific_force_y ('y_acceleration')" in done.out
+    flags = ("--mapping", "delft_sbw", "-o", tmp_path / "again", "--json")
+    document = json.loads(command("tms_bag", "import-csv", log, *flags).out)
+    assert document["absent"] == ["lean", "specific_force_y"]

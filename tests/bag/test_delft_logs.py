@@ -83,6 +83,6 @@ def test_the_bag_knows_the_bicycle_and_its_nominal_speed(imported):
 
 @pytest.mark.parametrize("name", ["Flat_on_ground_gravityZ.log", "LICENCE", "README.md"])
 def test_files_that_are_other_things_are_refused(delft_data, tmp_path, name):
-    with pytest.raises(RecordingError, match="expected the columns 'lean_angle'"):
+    with pytest.raises(RecordingError, match="expected the columns 'lean_rate'"):
         import_csv(delft_data / name, load_mapping("delft_sbw"), tmp_path / "bag")
     assert not (tmp_path / "bag").exists()

@@ -386,3 +386,9 @@ def test_a_confident_wrong_answer_is_said_to_be_doubtful(
     # Where the model is right nothing is said.
     assert json.loads(command("tms_fit", "run", bag, "--json").out)["strikes"][0]["doubt"] is None
     assert "doubtful" not in command("tms_fit", "run", bag).out
+
+
+def test_strikes_are_not_counted_double(command: Any, bag: Path) -> None:
+    done = command("tms_fit", "together", bag, f"{bag}/")
+    assert (done.code, done.out) == (2, "")
+    assert "its strikes would count double" in done.err

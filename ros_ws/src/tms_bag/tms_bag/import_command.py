@@ -9,7 +9,7 @@ from tms_model import ParameterError
 from tms_model.command_line import print_json
 
 from tms_bag.csv_import import Import, import_csv
-from tms_bag.mapping import DECIMALS, adapted, load_mapping, mapping_names
+from tms_bag.mapping import DECIMALS, LogMapping, adapted, load_mapping, mapping_names
 
 
 def add_import(commands: Any) -> None:
@@ -60,9 +60,9 @@ def import_log(arguments: argparse.Namespace) -> None:
     )
     done = import_csv(arguments.log, mapping, arguments.output, overwrite=arguments.force)
     if arguments.json:
-        print_json(_document(arguments, done))
+        print_json({**_document(arguments, done), "absent": _absent(done, mapping)})
     else:
-        _print(arguments.output, done)
+        _print(arguments.output, done, mapping)
 
 
 def _document(arguments: argparse.Namespace, done: Import) -> dict[str, Any]:
@@ -82,9 +82,18 @@ def _document(arguments: argparse.Namespace, done: Import) -> dict[str, Any]:
     }
 
 
-def _print(output: str, done: Import) -> None:
+def _absent(done: Import, mapping: LogMapping) -> list[str]:
+    """Optional quantities of the mapping that the log doesn't hold."""
+    return [name for name in mapping.columns if name not in done.log.columns]
+
+
+def _print(output: str, done: Import, mapping: LogMapping) -> None:
     log = done.log
     print(f"{output}: {log.time_ns.size} rows of {', '.join(log.columns)}")
+    absent = _absent(done, mapping)
+    if absent:
+        names = ", ".join(f"{name} ({mapping.columns[name].name!r})" for name in absent)
+        print(f"  not in this log, or empty: {names}")
     if log.missing:
         cells = ", ".join(f"{count} of {quantity}" for quantity, count in log.missing.items())
         print(f"  empty or NaN cells left out: {cells}")

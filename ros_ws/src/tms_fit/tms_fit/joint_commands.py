@@ -152,6 +152,9 @@ def _fits(arguments: argparse.Namespace, free: tuple[str, ...] | None) -> list[R
         raise ParameterError(
             f"near: expected once per bag ({len(arguments.bags)}), found {len(arguments.near)} times"
         )
+    paths = [Path(bag).resolve() for bag in arguments.bags]
+    if len(set(paths)) < len(paths):
+        raise ParameterError("bags: expected each once, found one twice: its strikes would count double")
     settings = FitSettings(
         free=free,
         fixed=dict(arguments.fix),
