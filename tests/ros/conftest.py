@@ -114,6 +114,13 @@ class Participant(Node):
         self.destroy_node()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _interruptible() -> None:
+    """A shell's background job ignores SIGINT, and so would all that these tests start."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.fixture
 def domain_id() -> Iterator[int]:
     """A ROS domain that no other test uses at this time."""

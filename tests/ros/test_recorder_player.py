@@ -1,5 +1,6 @@
 """Recorder and player as processes: what is published is what is in the bag, and the other way round."""
 
+import re
 import signal
 import time
 
@@ -179,19 +180,28 @@ def listen(participant, topic, kind, profile=LATEST):
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
 def test_messages_come_with_their_timing(nodes, participant, bag, records, rate):
-    arrived = listen(participant, "/bicycle/speed", "geometry_msgs/msg/TwistStamped")
+    sent = []
+    participant.create_subscription(
+        message_class("geometry_msgs/msg/TwistStamped"),
+        "/bicycle/speed",
+        lambda data, info: sent.append((info["source_timestamp"], data)),
+        LATEST,
+        raw=True,
+    )
     player = nodes.start(
         "tms_bag", "player", "-p", f"bag:={bag}", "-p", f"rate:={rate}", "-p", "wait_for_subscriptions:=1"
     )
     expected = [record for record in records if record.topic == "/bicycle/speed"]
-    participant.spin_until(lambda: len(arrived) == len(expected), "all messages arrive")
+    participant.spin_until(lambda: len(sent) == len(expected), "all messages arrive")
     nodes.finish(player)
-    assert [data for _, data in arrived] == [record.data for record in expected]
+    assert [data for _, data in sent] == [record.data for record in expected]
     due = np.array([record.time_ns - expected[0].time_ns for record in expected]) / 1e9 / rate
-    late = np.array([when - arrived[0][0] for when, _ in arrived]) - due
-    # The first may be late itself, which makes others seem early; on a loaded machine all may be late.
-    assert late.min() > -0.25
-    assert np.median(late) < 0.5
+    early = due - np.array([when - sent[0][0] for when, _ in sent]) / 1e9
+    # None is sent before its time, however loaded the machine is: only the first's own lateness, of which the
+    # player tells the largest, makes others seem early.
+    told = re.search(r"at most ([0-9.]+) ms late", nodes.log("player").read_text())
+    assert early.max() < float(told[1]) / 1e3 + 0.1
+    assert due[-1] > 0.4  # so that a player without timing would show
 
 
 def test_the_start_offset_leaves_out_the_beginning_but_what_is_latched(nodes, participant, bag, records):
