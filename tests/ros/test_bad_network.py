@@ -146,7 +146,14 @@ def test_no_message_of_a_reliable_topic_is_lost(network: Network, tmp_path: Path
         time.sleep(0.5)
     recorder.send_signal(2)
     assert recorder.wait(PATIENCE) == 0
-    assert arrived() == {topic: [r.data for r in records if r.topic == topic] for topic in chosen}
+    sent = {topic: [r.data for r in records if r.topic == topic] for topic in chosen}
+    said = "".join((tmp_path / f"{name}.log").read_text() for name in ("player", "recorder"))
+    came = arrived()
+    missing = {
+        topic: [n for n, data in enumerate(sent[topic]) if data not in came[topic]] for topic in chosen
+    }
+    assert not any(missing.values()), f"{missing}\n{said}"
+    assert came == sent, said
     with BagReader(tmp_path / "copy") as reader:
         assert reader.custom_data["lost"] == "{}"
     forwarded, dropped = network.counts()

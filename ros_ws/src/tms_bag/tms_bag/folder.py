@@ -91,7 +91,9 @@ def sync_folder(folder: Path) -> None:
 
 def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
     if not overwrite:
-        raise RecordingError(f"{given}: exists already; choose another name, or say --force to replace a bag")
+        raise RecordingError(
+            f"{given}: exists already; choose another name (--force, where a command has it, replaces a bag)"
+        )
     entries = sorted(path.iterdir()) if path.is_dir() and not path.is_symlink() else [path]
     strange = [entry.name for entry in entries if entry.name != FILE_NAME and entry.suffix != ".mcap"]
     if strange or not path.is_dir():

@@ -8,7 +8,6 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any
 
-from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -26,7 +25,6 @@ from tms_bag.record import Record
 from tms_bag.transport import Transport
 
 STEP = 0.01  # [s] how often a signal is noticed
-ACKNOWLEDGE_TIMEOUT = 10.0  # [s]
 
 
 class Player(Node):
@@ -70,8 +68,8 @@ class Player(Node):
                 self._transport.seek(its.start_ns)
         if self._window:
             self._window.wait_for_all(self._between)
-        for publisher in self._playing.values():
-            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT))
+        for topic in publishing.unacknowledged(self._playing, self._between):
+            self.get_logger().warning(f"{topic}: a reliable subscriber hasn't acknowledged all messages")
 
     def close(self) -> None:
         """Say what was played."""

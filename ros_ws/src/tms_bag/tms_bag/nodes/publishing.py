@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
@@ -16,6 +17,9 @@ from tms_bag.nodes.interfaces import OVERRIDABLE, message_class, offered_profile
 from tms_bag.reader import BagReader
 from tms_bag.record import Record
 from tms_bag.selection import Selection
+
+ACKNOWLEDGE_TIMEOUT = 60.0  # [s]; over a bad network it takes several heartbeats, 3 s apart
+ACKNOWLEDGE_STEP = 0.05  # [s]
 
 Publishers = dict[str, Any]  # by topic
 
@@ -71,6 +75,21 @@ def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, 
                 " start the subscribers first, or lower wait_for_subscriptions"
             )
         time.sleep(0.01)
+
+
+def unacknowledged(publishers: Publishers, between: Callable[[], None]) -> list[str]:
+    """Wait until what was sent reliably has arrived; returns the topics where that takes too long.
+
+    `between` is called in between, and may raise to end the wait.
+    """
+    late, deadline = [], time.monotonic() + ACKNOWLEDGE_TIMEOUT
+    for topic, publisher in publishers.items():
+        while not publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_STEP)):
+            between()
+            if time.monotonic() > deadline:
+                late.append(topic)
+                break
+    return late
 
 
 def records_from(bag: BagReader, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Record]:
