@@ -12,6 +12,7 @@ from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
+from tms_fit.arguments import assignment, names
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.joint_commands import add_arguments, print_calibration, print_together
 from tms_fit.losses import LOSSES
@@ -136,7 +137,7 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
     """What is found, what is known, and with which model of the run."""
     command.add_argument(
         "--free",
-        type=_names,
+        type=names,
         metavar="NAME,...",
         help=f"parameters to find, of {', '.join(PARAMETERS)} (default: {','.join(DEFAULT_FREE)})",
     )
@@ -144,7 +145,7 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
         "--fix",
         action="append",
         default=[],
-        type=_assignment,
+        type=assignment,
         metavar="NAME=VALUE",
         help="a parameter that is known, SI units; may be repeated",
     )
@@ -164,7 +165,7 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--channels",
-        type=_names,
+        type=names,
         default=FitSettings.channels,
         metavar="NAME,...",
         help="rates to compare with the model (default: lean_rate,yaw_rate)",
@@ -269,10 +270,6 @@ def _fit(
     return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings, strike_times)
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
 def _prior(text: str) -> tuple[str, tuple[float, float]]:
     name, equals, numbers = text.partition("=")
     mean, comma, std = numbers.partition(",")
@@ -282,16 +279,6 @@ def _prior(text: str) -> tuple[str, tuple[float, float]]:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with two numbers, found {text!r}")
-
-
-def _assignment(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    try:
-        if equals:
-            return name.strip(), float(value)
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"expected NAME=VALUE with a number, found {text!r}")
 
 
 if __name__ == "__main__":

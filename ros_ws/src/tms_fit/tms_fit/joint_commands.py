@@ -15,6 +15,7 @@ from tms_model import ParameterError, load_bicycle
 from tms_model.command_line import print_json
 from tms_model.measured import Measured
 
+from tms_fit.arguments import assignment, names
 from tms_fit.calibration import Calibration, calibrate
 from tms_fit.calibration_file import sources_of, write_calibration
 from tms_fit.calibration_result import Judged, calibration_json, calibration_table, judge
@@ -61,14 +62,14 @@ def add_arguments(commands: Any) -> None:
             "--steer-torque", choices=STEER_TORQUES, default=FitSettings.steer_torque, help="as in fit run"
         )
         command.add_argument(
-            "--fix", action="append", default=[], type=_fixed, metavar="NAME=VALUE", help="as in fit run"
+            "--fix", action="append", default=[], type=assignment, metavar="NAME=VALUE", help="as in fit run"
         )
         command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
-    own = {"type": _names, "metavar": "NAME,...", "help": "unknowns of each strike (default: as fit run)"}
+    own = {"type": names, "metavar": "NAME,...", "help": "unknowns of each strike (default: as fit run)"}
     together.add_argument("--free", **own)
     together.add_argument(
         "--share",
-        type=_names,
+        type=names,
         default=(),
         metavar="NAME,...",
         help="unknowns that all strikes have in common: biases, numbers of the bicycle (default: none)",
@@ -79,7 +80,7 @@ def add_arguments(commands: Any) -> None:
     calibrating.add_argument("--each", **own)
     calibrating.add_argument(
         "--free",
-        type=_names,
+        type=names,
         required=True,
         metavar="NAME,...",
         help="numbers of the bicycle to be found: parameters, steer elements, or entries of the matrices",
@@ -119,9 +120,9 @@ def print_calibration(arguments: argparse.Namespace, words: Sequence[str]) -> No
     if output.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"{output}: expected a name that ends in .yaml")
     fits = _fits(arguments, arguments.each)
-    names = {fit.bicycle.name for fit in fits}
-    if len(names) > 1:
-        raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(names))}; use --bicycle")
+    found = {fit.bicycle.name for fit in fits}
+    if len(found) > 1:
+        raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
     calibration = calibrate(fits[0].bicycle, runs, arguments.free, dict(arguments.prior))
@@ -191,10 +192,6 @@ def _chosen(fits: list[RecordingFit], near: list[tuple[float, ...]] | None) -> l
     return chosen
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
 def _times(text: str) -> tuple[float, ...]:
     if text.strip() == "all":
         return ()
@@ -202,16 +199,6 @@ def _times(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected times in seconds, found {text!r}") from None
-
-
-def _fixed(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    try:
-        if equals:
-            return name.strip(), float(value)
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"expected NAME=VALUE with a number, found {text!r}")
 
 
 def _prior(text: str) -> tuple[str, Measured]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
+from tms_fit.arguments import assignment
 from tms_fit.live import PREVIEW_PERIOD, REORDER_WINDOW
 from tms_fit.losses import LOSSES
 from tms_fit.settings import (
@@ -116,13 +118,10 @@ def declare_settings(node: Node) -> Settings:
 
 
 def _fixed(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
     try:
-        if equals:
-            return name.strip(), float(value)
-    except ValueError:
-        pass
-    raise ParameterError(f"parameter fix: expected NAME=VALUE, found {text!r}")
+        return assignment(text)
+    except ArgumentTypeError as error:
+        raise ParameterError(f"parameter fix: {error}") from error
 
 
 def asked_for(base: FitSettings, request: Any) -> FitSettings:
