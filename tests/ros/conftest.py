@@ -14,6 +14,8 @@ import pytest
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from domain_coordinator import domain_id as unused_domain_id
+from rcl_interfaces.srv import ListParameters
+from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -22,6 +24,7 @@ from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
 
 DEADLINE = 60.0  # [s]; generous, since nothing here measures speed
+ASK_AGAIN = 1.0  # [s]; an answer that is lost is never sent again
 
 
 def wait_until(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
@@ -75,7 +78,7 @@ class Nodes:
 
     def finish(self, process: "subprocess.Popen[bytes]", code: int = 0) -> None:
         """Wait until a process ends by itself, with an exit code."""
-        assert process.wait(DEADLINE) == code, self._outputs()
+        assert process.wait(DEADLINE) == code
 
     def stop(self, process: "subprocess.Popen[bytes]", how: signal.Signals = signal.SIGINT) -> None:
         """Stop a process by a signal; it must end with exit code 0."""
@@ -89,9 +92,6 @@ class Nodes:
                 process.kill()
                 process.wait()
 
-    def _outputs(self) -> str:
-        return "\n".join(f"{log.name}:\n{log.read_text()}" for log in sorted(self.folder.glob("*.log")))
-
 
 class Participant(Node):
     """A node inside the test."""
@@ -100,6 +100,7 @@ class Participant(Node):
         super().__init__("test", context=context)
         self._spinner = SingleThreadedExecutor(context=context)
         self._spinner.add_node(self)
+        self._reached: dict[tuple[Any, str], Any] = {}  # clients by type and name
 
     def spin_until(self, condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
         """Handle what arrives until the condition holds; fail the test if it doesn't before the deadline."""
@@ -108,10 +109,67 @@ class Participant(Node):
             assert time.monotonic() < end, f"not within {deadline:g} s: {what}"
             self._spinner.spin_once(timeout_sec=0.01)
 
+    def result(self, future: Any, what: str) -> Any:
+        """The result of a future, when it is there."""
+        self.spin_until(future.done, what)
+        return future.result()
+
+    def reach(self, node: str) -> None:
+        """Wait until a node knows all publishers, subscriptions and clients that were made here so far.
+
+        That they know the node does not say so: discovery goes both ways separately. A service that doesn't
+        know the reader of its answer waits 0.1 s and drops it (rmw_fastrtps), and a best-effort subscription
+        passes over the messages of a publisher that it doesn't know. DDS announces endpoints reliably and in
+        the order of their making, so that a node that answers the latest client knows the earlier ones, too.
+        """
+        client = self.create_client(ListParameters, f"{node}/list_parameters")
+        asked: list[Any] = []
+        ask_at = 0.0
+
+        def answered() -> bool:
+            nonlocal ask_at
+            if time.monotonic() >= ask_at and client.service_is_ready():
+                asked.append(client.call_async(ListParameters.Request()))
+                ask_at = time.monotonic() + ASK_AGAIN
+            return any(future.done() for future in asked)
+
+        self.spin_until(answered, f"{node} answers")
+        self.destroy_client(client)
+
+    def client(self, kind: Any, service: str) -> Any:
+        """A client of a service `NODE/NAME` that the node knows."""
+        if (kind, service) not in self._reached:
+            self._reached[kind, service] = client = self.create_client(kind, service)
+            self.reach(service.rpartition("/")[0])
+            self.spin_until(client.service_is_ready, f"{service} is there")
+        return self._reached[kind, service]
+
+    def action_client(self, kind: Any, action: str) -> Any:
+        """A client of an action `NODE/NAME` that the node knows."""
+        client = ActionClient(self, kind, action)
+        self.reach(action.rpartition("/")[0])
+        self.spin_until(client.server_is_ready, f"{action} is there")
+        return client
+
+    def call(self, kind: Any, service: str, request: Any = None) -> Any:
+        """Call a service `NODE/NAME`; returns its response."""
+        future = self.client(kind, service).call_async(request or kind.Request())
+        return self.result(future, f"{service} answers")
+
     def close(self) -> None:
         """Leave the domain."""
         self._spinner.shutdown()
         self.destroy_node()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Any:
+    """What fails shows the logs of the nodes that the test started."""
+    report = yield
+    folder = getattr(item, "funcargs", {}).get("tmp_path")
+    if report.failed and folder:
+        report.sections += [(log.name, log.read_text()) for log in sorted(folder.glob("*.log"))]
+    return report
 
 
 @pytest.fixture(scope="session", autouse=True)

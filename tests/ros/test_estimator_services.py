@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tms_bag import BagWriter, read_recording, topics
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
@@ -20,7 +19,6 @@ from tms_msgs.srv import Refit
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 
-DEADLINE = 60.0  # [s]
 OTHER = {"free": ["initial_lean_rate", "initial_steer_rate"], "window": 1.0}
 
 
@@ -49,46 +47,37 @@ def assert_same(messages: list[Estimate], fit: RecordingFit) -> None:
         assert list(message.covariance) == one.covariance.ravel().tolist()
 
 
-def answer_of(participant: Any, future: Any, what: str) -> Any:
-    participant.spin_until(future.done, what)
-    return future.result()
-
-
 def test_refit_gives_what_the_offline_fit_gives(nodes: Any, participant: Any, bag: Path) -> None:
     heard: list[Estimate] = []
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     participant.create_subscription(Estimate, "estimate", heard.append, latched)
-    client = participant.create_client(Refit, "/estimator/refit")
     estimator = nodes.start("tms_fit", "estimator")
-    assert client.wait_for_service(DEADLINE)
-    refused = answer_of(participant, client.call_async(Refit.Request()), "refusal")
+    refused = participant.call(Refit, "/estimator/refit")
     assert not refused.success
     assert "expected one of none" in refused.message
     player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscriptions:=3")
     nodes.finish(player)
     participant.spin_until(lambda: sum(one.final for one in heard) == 2, "the strike is fitted")
     assert any(not one.final for one in heard)  # and was while its response unfolded
-    again = answer_of(participant, client.call_async(Refit.Request(**OTHER)), "a second fit")
+    again = participant.call(Refit, "/estimator/refit", Refit.Request(**OTHER))
     assert again.success, again.message
     assert_same(again.estimates, offline(bag))
-    wrong = Refit.Request(fixed_names=["speed"])
-    refused = answer_of(participant, client.call_async(wrong), "refusal")
+    refused = participant.call(Refit, "/estimator/refit", Refit.Request(fixed_names=["speed"]))
     assert "fixed_values: expected 1" in refused.message
     nodes.stop(estimator)
 
 
 def test_a_bag_is_fitted_with_progress(nodes: Any, participant: Any, bag: Path) -> None:
     estimator = nodes.start("tms_fit", "estimator")
-    client = ActionClient(participant, FitRecording, "/estimator/fit_recording")
-    assert client.wait_for_server(DEADLINE)
+    client = participant.action_client(FitRecording, "/estimator/fit_recording")
     told: list[float] = []
 
     def ask(**goal: Any) -> tuple[int, FitRecording.Result]:
         wish = FitRecording.Goal(**goal)
         sent = client.send_goal_async(wish, lambda message: told.append(message.feedback.progress))
-        handle = answer_of(participant, sent, "the goal is accepted")
+        handle = participant.result(sent, "the goal is accepted")
         assert handle.accepted
-        done = answer_of(participant, handle.get_result_async(), "the bag is fitted")
+        done = participant.result(handle.get_result_async(), "the bag is fitted")
         return done.status, done.result
 
     status, result = ask(bag=str(bag), **OTHER)
@@ -114,8 +103,8 @@ def test_a_bag_is_fitted_with_progress(nodes: Any, participant: Any, bag: Path) 
         assert text in result.message
     # One bag at a time: the second is cancelled before its turn has come, and does not hold up the first.
     goals = [client.send_goal_async(FitRecording.Goal(bag=str(bag))) for _ in range(2)]
-    first, second = (answer_of(participant, goal, "accepted") for goal in goals)
-    answer_of(participant, second.cancel_goal_async(), "the goal is cancelled")
-    ends = [answer_of(participant, goal.get_result_async(), "its end").status for goal in (first, second)]
+    first, second = (participant.result(goal, "accepted") for goal in goals)
+    participant.result(second.cancel_goal_async(), "the goal is cancelled")
+    ends = [participant.result(goal.get_result_async(), "its end").status for goal in (first, second)]
     assert ends == [GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED]
     nodes.stop(estimator)

@@ -24,11 +24,7 @@ def listen(participant: Any, topic: str, kind: str) -> list[bytes]:
 
 
 def call(participant: Any, kind: Any, name: str, **fields: Any) -> Any:
-    client = participant.create_client(kind, f"/player/{name}")
-    participant.spin_until(client.service_is_ready, f"{name} is there")
-    future = client.call_async(kind.Request(**fields))
-    participant.spin_until(future.done, f"{name} answers")
-    return future.result()
+    return participant.call(kind, f"/player/{name}", kind.Request(**fields))
 
 
 def of(records: list[Any], topic: str) -> list[Any]:

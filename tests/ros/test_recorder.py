@@ -33,14 +33,6 @@ def record(nodes: Any, tmp_path: Path) -> Callable[..., Any]:
     return start
 
 
-def call(participant: Any, kind: Any, service: str) -> Any:
-    client = participant.create_client(kind, service)
-    participant.spin_until(client.service_is_ready, f"{service} is there")
-    future = client.call_async(kind.Request())
-    participant.spin_until(future.done, f"{service} answers")
-    return future.result()
-
-
 def numbers(bag: Path, topic: str = "/n") -> list[int]:
     with BagReader(bag) as reader:
         return [int.from_bytes(record.data[4:8], "little") for record in reader.records([topic])]
@@ -164,13 +156,13 @@ def test_pause_resume_and_split_are_services(
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     heard(participant, publisher)
     send(publisher, range(10))
-    assert call(participant, Trigger, "/recorder/is_paused").success
-    call(participant, Empty, "/recorder/resume")
-    assert not call(participant, Trigger, "/recorder/is_paused").success
+    assert participant.call(Trigger, "/recorder/is_paused").success
+    participant.call(Empty, "/recorder/resume")
+    assert not participant.call(Trigger, "/recorder/is_paused").success
     send(publisher, range(10, 20))
-    call(participant, Empty, "/recorder/split_bagfile")
+    participant.call(Empty, "/recorder/split_bagfile")
     send(publisher, range(20, 30))
-    call(participant, Empty, "/recorder/pause")
+    participant.call(Empty, "/recorder/pause")
     send(publisher, range(30, 40))
     nodes.stop(recorder)
     assert numbers(tmp_path / "bag") == list(range(10, 30))
@@ -185,7 +177,7 @@ def test_a_snapshot_is_what_came_last(nodes: Any, participant: Any, tmp_path: Pa
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     heard(participant, publisher)
     send(publisher, range(10))
-    answer = call(participant, Trigger, "/recorder/snapshot")
+    answer = participant.call(Trigger, "/recorder/snapshot")
     assert (answer.success, answer.message) == (True, "10 messages written")
     send(publisher, range(10, 20))  # never asked for
     nodes.stop(recorder)
@@ -196,7 +188,7 @@ def test_without_its_parameter_there_is_no_snapshot(
     nodes: Any, participant: Any, tmp_path: Path, record: Any
 ) -> None:
     recorder = record()
-    answer = call(participant, Trigger, "/recorder/snapshot")
+    answer = participant.call(Trigger, "/recorder/snapshot")
     assert not answer.success
     assert "parameter snapshot" in answer.message
     nodes.stop(recorder)
@@ -209,7 +201,8 @@ def test_simulated_time_stamps_what_came_with_it(
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     recorder = record("-p", "topics:=[/n]", "-p", "use_sim_time:=true")
     heard(participant, publisher)
-    participant.spin_until(lambda: clock.get_subscription_count() >= 2, "the recorder hears the clock")
+    participant.spin_until(lambda: clock.get_subscription_count() >= 2, "the recorder listens to the clock")
+    participant.reach("/recorder")  # and, without reliability, hears its first tick
     publisher.publish(UInt32(data=0))  # before the first tick: it waits for it
     publisher.wait_for_all_acked()
     time.sleep(0.05)

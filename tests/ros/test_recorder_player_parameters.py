@@ -70,14 +70,6 @@ def test_bad_parameters_of_the_recorder(nodes, bag, arguments, expected):
     assert sorted(path.name for path in bag.parent.iterdir()) == sorted([*before, "recorder.log"])
 
 
-def call(participant, kind, service, request):
-    client = participant.create_client(kind, service)
-    participant.spin_until(client.service_is_ready, f"{service} is there")
-    future = client.call_async(request)
-    participant.spin_until(future.done, f"{service} answers")
-    return future.result()
-
-
 def number(name: str, value: float) -> Parameter:
     return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
 
@@ -96,7 +88,7 @@ def test_the_player_refuses_what_is_out_of_range_while_it_plays(nodes, participa
             number("rate", 100.0),
         ]
     )
-    results = call(participant, SetParameters, "/player/set_parameters", request).results
+    results = participant.call(SetParameters, "/player/set_parameters", request).results
     assert [result.successful for result in results] == [False, False, False, True]
     assert all(result.reason for result in results[:3])
     nodes.finish(player)  # 40 s at the first rate, at once at the last
@@ -105,12 +97,8 @@ def test_the_player_refuses_what_is_out_of_range_while_it_plays(nodes, participa
 def test_parameters_are_described_with_their_ranges(nodes, participant, bag):
     player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.05")
     names = ["bag", "rate", "start_offset", "loop", "publish_clock", "topics", "wait_for_subscriptions"]
-    described = call(
-        participant,
-        DescribeParameters,
-        "/player/describe_parameters",
-        DescribeParameters.Request(names=names),
-    ).descriptors
+    request = DescribeParameters.Request(names=names)
+    described = participant.call(DescribeParameters, "/player/describe_parameters", request).descriptors
     assert [descriptor.name for descriptor in described] == names
     assert all(descriptor.description for descriptor in described)
     rate = described[1].floating_point_range[0]

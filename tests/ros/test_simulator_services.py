@@ -16,16 +16,7 @@ from tms_msgs.msg import BicycleState, RunInfo
 from tms_msgs.srv import Strike
 from visualization_msgs.msg import Marker
 
-DEADLINE = 60.0  # [s]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-def ask(participant: Any, kind: Any, name: str, request: Any) -> Any:
-    client = participant.create_client(kind, name)
-    assert client.wait_for_service(DEADLINE)
-    future = client.call_async(request)
-    participant.spin_until(future.done, f"the answer of {name}")
-    return future.result()
 
 
 def listen(participant: Any, kind: Any, name: str, qos: Any = qos_profile_sensor_data) -> list[Any]:
@@ -41,22 +32,22 @@ def test_start_strike_stop_reset(nodes: Any, participant: Any) -> None:
         "tms_sim", "simulator", "-p", "autostart:=false", "-p", "stay:=true", "-p", "rate:=5.0",
         "-p", "scenario:=tms_strike_ideal",
     )  # fmt: skip
-    assert ask(participant, Trigger, "/simulator/stop", Trigger.Request()).success
+    assert participant.call(Trigger, "/simulator/stop").success
     assert states == []  # it waits for the start
-    assert ask(participant, Trigger, "/simulator/start", Trigger.Request()).success
+    assert participant.call(Trigger, "/simulator/start").success
     participant.spin_until(lambda: len(states) > 20, "the run goes on")
-    struck = ask(participant, Strike, "/simulator/strike", Strike.Request(lean_rate=0.3))
+    struck = participant.call(Strike, "/simulator/strike", Strike.Request(lean_rate=0.3))
     assert struck.success, struck.message
     participant.spin_until(lambda: any(abs(one.lean_rate) > 0.2 for one in states), "the strike is felt")
     participant.spin_until(lambda: len(infos) == 2, "run_info tells of the strike")
     assert "- 0.3" in infos[1].configuration
-    refused = ask(participant, Strike, "/simulator/strike", Strike.Request(lean_rate=99.0))
+    refused = participant.call(Strike, "/simulator/strike", Strike.Request(lean_rate=99.0))
     assert not refused.success
     assert "strike.lean_rate" in refused.message
-    ask(participant, Trigger, "/simulator/stop", Trigger.Request())
+    participant.call(Trigger, "/simulator/stop")
     last = states[-1].header.stamp
-    ask(participant, Trigger, "/simulator/reset", Trigger.Request())
-    ask(participant, Trigger, "/simulator/start", Trigger.Request())
+    participant.call(Trigger, "/simulator/reset")
+    participant.call(Trigger, "/simulator/start")
     participant.spin_until(lambda: states[-1].header.stamp.sec < last.sec or states[-1].lean == 0.0, "back")
     nodes.stop(process)
 
@@ -69,7 +60,7 @@ def test_viewers_get_a_bicycle_that_moves(nodes: Any, participant: Any) -> None:
     described = listen(participant, String, "robot_description", LATCHED)
     states = listen(participant, BicycleState, "bicycle/state")
     process = nodes.start("tms_sim", "simulator", "-p", "stay:=true", "-p", "autostart:=false")
-    ask(participant, Trigger, "/simulator/start", Trigger.Request())
+    participant.call(Trigger, "/simulator/start")
     participant.spin_until(lambda: any(abs(one.lean) > 0.02 for one in states), "the bicycle leans")
     participant.spin_until(lambda: described and fixed and len(joints) > 5 and len(paths) > 5, "all is shown")
     assert described[0].data.startswith('<robot name="tms_eq_10_1">')
