@@ -13,13 +13,13 @@ from measure import in_turn, print_machine, print_timings
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
-from tms_fit.batch import fit_batch
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.prediction import predictor
-from tms_fit.projection import Problem
+from tms_fit.least_squares.batch import fit_batch
+from tms_fit.least_squares.prediction import predictor
+from tms_fit.least_squares.projection import Problem
+from tms_fit.least_squares.table import Table, tabulate
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
-from tms_fit.table import Table, tabulate
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle
 from tms_model.exponential import expm

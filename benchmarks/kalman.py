@@ -10,8 +10,8 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from measure import Timing, in_turn, print_machine
 from numpy.typing import NDArray
-from tms_fit.kalman_batch import filter_batch, smooth_start
-from tms_fit.state_space import STATES, StateSpace, bicycle_space
+from tms_fit.kalman.batch import filter_batch, smooth_start
+from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space
 from tms_model import linear_system, load_bicycle
 
 try:

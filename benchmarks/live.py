@@ -14,10 +14,10 @@ from measure import Timing, in_turn, print_machine
 from numpy.typing import NDArray
 from tms_bag import Record, conversion, topics
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
-from tms_fit.live import LiveFit
+from tms_fit.kalman.running_filter import FilterStep
 from tms_fit.messages import filter_state_record
-from tms_fit.online import OnlineFit
-from tms_fit.running_filter import FilterStep
+from tms_fit.running.live import LiveFit
+from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_model import discretise, linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes, quaternion

@@ -20,8 +20,8 @@ from measure import in_turn, print_machine, print_timings
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, Record, conversion
-from tms_bag.presets import PRESETS
 from tms_bag.samples import ImuSamples
+from tms_bag.writing.presets import PRESETS
 
 IMU = "sensor_msgs/msg/Imu"
 

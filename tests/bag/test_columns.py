@@ -187,7 +187,7 @@ def test_parts_without_the_topic_or_the_time_are_not_read(tmp_path, monkeypatch)
     messages = [("/imu", IMU, number, cdr(imu(number, rng))) for number in range(2000)]
     messages[1000:1000] = [("/slow", IMU, 1000, cdr(imu(1000, rng)))]
     path = write_mcap(tmp_path / "a.mcap", messages, {"chunk_size": 20_000})
-    from tms_bag import index
+    from tms_bag.reading import index
 
     read: list[int] = []
     unpack = index.frames.chunk_content

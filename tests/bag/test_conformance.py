@@ -33,8 +33,8 @@ from mcap.records import (
 )
 from mcap.stream_reader import StreamReader
 from tms_bag import BagReader
-from tms_bag.frames import MAGIC
-from tms_bag.index import scan
+from tms_bag.reading.frames import MAGIC
+from tms_bag.reading.index import scan
 
 SCHEMA = Schema(1, b"\x04\x05\x06", "c", "Example")
 CHANNEL = Channel(1, "example", "a", {"foo": "bar"}, 1)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tms_bag import RecordingError, conversion, read_recording
-from tms_bag.csv_export import export_csv
-from tms_bag.csv_import import import_csv
-from tms_bag.mapping import load_mapping
+from tms_bag.logs.csv_export import export_csv
+from tms_bag.logs.csv_import import import_csv
+from tms_bag.logs.mapping import load_mapping
 from tms_bag.samples import SpeedSamples
 
 BAG = "tms_bag"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 from tms_bag import RecordingError, read_recording
-from tms_bag.csv_import import import_csv, read_csv
-from tms_bag.mapping import adapted, load_mapping, mapping_names
+from tms_bag.logs.csv_import import import_csv, read_csv
+from tms_bag.logs.mapping import adapted, load_mapping, mapping_names
 from tms_model import ParameterError
 
 HEADER = "t,roll,roll_rate,yaw_rate,v,tau,ax,ay,az,note"

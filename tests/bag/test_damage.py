@@ -14,7 +14,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 from tms_bag import BagReader, RecordingError
-from tms_bag.frames import MAGIC
+from tms_bag.reading.frames import MAGIC
 
 SETTINGS = settings(
     max_examples=60,

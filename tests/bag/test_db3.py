@@ -8,7 +8,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.enums import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, RecordingError, conversion, read_recording
-from tms_bag.repair import repair
+from tms_bag.writing.repair import repair
 
 
 @pytest.fixture(params=[8, 9])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from tms_bag import RecordingError, read_recording
-from tms_bag.csv_import import import_csv
-from tms_bag.mapping import load_mapping
+from tms_bag.logs.csv_import import import_csv
+from tms_bag.logs.mapping import load_mapping
 
 LOGS = [
     ("eigen_normal_sil6.5n2_10.8kph.log", 10835, 3.0, 6.93),

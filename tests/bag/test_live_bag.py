@@ -8,11 +8,11 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, Record, RecordingError
-from tms_bag.live_bag import LiveBag
-from tms_bag.presets import PRESETS
-from tms_bag.recent import RecentRecords
-from tms_bag.repair import repair
-from tms_bag.writer import Splitting
+from tms_bag.writing.live_bag import LiveBag
+from tms_bag.writing.presets import PRESETS
+from tms_bag.writing.recent import RecentRecords
+from tms_bag.writing.repair import repair
+from tms_bag.writing.writer import Splitting
 
 VECTOR = "geometry_msgs/msg/Vector3"
 

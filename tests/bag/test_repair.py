@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, RecordingError
-from tms_bag.repair import repair
+from tms_bag.writing.repair import repair
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tms_bag import RecordingError, conversion, topics
 from tms_bag.messages import _store, deserialize, message_type, serialize
+from tms_bag.reading.tables import MessageError, new_table, read_row, read_table, rows, stamps
 from tms_bag.samples import ImuSamples
-from tms_bag.tables import MessageError, new_table, read_row, read_table, rows, stamps
 
 TYPES = [
     *sorted(set(topics.TYPES.values()) - {"tms_msgs/msg/RunInfo", "tms_msgs/msg/Event"}),

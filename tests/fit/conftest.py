@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tms_fit.offline import feed
-from tms_fit.online import OnlineFit, StrikeFit
+from tms_fit.running.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
 from tms_model import load_bicycle
 from tms_sim.run import SimulatedRun, simulate

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tms_fit.batch import fit_batch
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.prediction import predictor
-from tms_fit.projection import Problem
+from tms_fit.least_squares.batch import fit_batch
+from tms_fit.least_squares.prediction import predictor
+from tms_fit.least_squares.projection import Problem
+from tms_fit.least_squares.table import TOLERANCE, tabulate
 from tms_fit.settings import NONLINEAR, FitSettings
 from tms_fit.speed_curve import constant_speed
-from tms_fit.table import TOLERANCE, tabulate
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle
 
@@ -118,7 +118,7 @@ def test_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     table = tabulate(Problem(window, ("initial_lean_rate",), ("speed",)), {"speed": (3.0, 4.2)})
     runs = noisy(window, 50)
     whole = fit_batch(table, runs)
-    monkeypatch.setattr("tms_fit.batch.CHUNK", 7 * 300 * 2)
+    monkeypatch.setattr("tms_fit.least_squares.batch.CHUNK", 7 * 300 * 2)
     parts = fit_batch(table, runs)
     np.testing.assert_allclose(parts.values, whole.values, rtol=1e-9)
 

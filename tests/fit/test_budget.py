@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tms_fit.budget import error_budget
+from tms_fit.criticism.budget import error_budget
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.settings import DEFAULT_FREE, FitSettings
 from tms_fit.speed_curve import constant_speed

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.calibration import Calibration, calibrate, priors_for
-from tms_fit.calibration_result import in_word
-from tms_fit.cross_validation import jackknife_std, lean_rate_vaf, leave_recordings_out, leave_runs_out
-from tms_fit.identifiability import identify
-from tms_fit.joint import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.calibration import Calibration, calibrate, priors_for
+from tms_fit.joint.calibration_result import in_word
+from tms_fit.joint.cross_validation import jackknife_std, lean_rate_vaf, leave_recordings_out, leave_runs_out
+from tms_fit.joint.free_responses import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.identifiability import identify
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, linear_system, load_bicycle, with_parameters

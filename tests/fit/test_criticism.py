@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
-from tms_fit.criticism import criticise, fisher_g, fit_percent, ljung_box, nis_band
+from tms_fit.criticism.hypotheses import impulse_ratio, verdicts
+from tms_fit.criticism.residuals import criticise, fisher_g, fit_percent, ljung_box, nis_band
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.hypotheses import impulse_ratio, verdicts
 from tms_fit.settings import DEFAULT_FREE, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp
-from tms_fit.answer import variance_accounted_for
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
-from tms_fit.projection import Problem
+from tms_fit.least_squares.answer import variance_accounted_for
+from tms_fit.least_squares.projection import Problem
 from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window

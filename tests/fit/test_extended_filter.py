@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from tms_fit.coasting import MAX_STEP, Coasting
-from tms_fit.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, FirstGuess, Wandering
-from tms_fit.online import OnlineFit
-from tms_fit.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
+from tms_fit.kalman.coasting import MAX_STEP, Coasting
+from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, FirstGuess, Wandering
+from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
+from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_model import ParameterError, bicycle_names, linear_system, load_bicycle
 from tms_model.varying_speed import varying_system

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tms_fit.strikes import StrikeDetector
+from tms_fit.strikes.detector import StrikeDetector
 
 
 def found(missing: tuple[int, int]) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from statsmodels.stats.meta_analysis import combine_effects
-from tms_fit.heterogeneity import METHODS, random_effects
+from tms_fit.joint.heterogeneity import METHODS, random_effects
 from tms_model import ParameterError
 
 # Thirteen trials of the BCG vaccine, G. A. Colditz et al., JAMA 271 (1994), doi

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.intervals import profile, with_intervals
-from tms_fit.prediction import predictor
+from tms_fit.least_squares.intervals import profile, with_intervals
+from tms_fit.least_squares.prediction import predictor
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.arrow import Block, solve_arrow
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.joint import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.arrow import Block, solve_arrow
+from tms_fit.joint.free_responses import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.together import Strike, fit_together
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
-from tms_fit.together import Strike, fit_together
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle
 

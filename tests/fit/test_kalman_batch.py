@@ -7,8 +7,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.stats import chi2
-from tms_fit.kalman_batch import filter_batch, smooth_start
-from tms_fit.state_space import STATES, StateSpace, bicycle_space, with_oscillator
+from tms_fit.kalman.batch import filter_batch, smooth_start
+from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space, with_oscillator
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.response import LEAN_RATE
 

@@ -10,11 +10,11 @@ from itertools import islice
 
 import numpy as np
 import pytest
-import tms_fit.live
+import tms_fit.running.live
 from tms_bag import Record, conversion, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
-from tms_fit.live import LiveFit
+from tms_fit.running.live import LiveFit
 from tms_fit.settings import FitSettings
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes
@@ -92,7 +92,7 @@ def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
 
 def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     # Ten strikes to fill what is kept, then ten more: 6000 samples of hundreds of bytes each, were they kept.
-    monkeypatch.setattr(tms_fit.live, "MOST_STRIKES", 3)
+    monkeypatch.setattr(tms_fit.running.live, "MOST_STRIKES", 3)
     quick = replace(FitSettings(), estimators=("som2011",))
     fit = LiveFit(quick, preview_period=0.0)
     messages = stream(SECOND, 20)

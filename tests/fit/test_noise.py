@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import norm
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.losses import LOSSES, Loss
-from tms_fit.noise import NOISES
-from tms_fit.noise.process import ChannelNoise, autocovariances, burg, grid_places, process
-from tms_fit.prediction import predictor
+from tms_fit.least_squares.losses import LOSSES, Loss
+from tms_fit.least_squares.noise import NOISES
+from tms_fit.least_squares.noise.process import ChannelNoise, autocovariances, burg, grid_places, process
+from tms_fit.least_squares.prediction import predictor
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window, without_saturated

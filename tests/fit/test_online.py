@@ -12,11 +12,11 @@ import pytest
 from tms_bag import BagWriter, Record, conversion, read_recording, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import RunInfo, SpeedSamples
-from tms_fit.live import INPUTS, REORDER_WINDOW, LiveFit
+from tms_fit.kalman.running_filter import FilterStep, RunningFilter
 from tms_fit.messages import estimate_records
 from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.online import PATIENCE, OnlineFit, StrikeFit
-from tms_fit.running_filter import FilterStep, RunningFilter
+from tms_fit.running.live import INPUTS, REORDER_WINDOW, LiveFit
+from tms_fit.running.online import PATIENCE, OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
 from tms_model import ParameterError, load_bicycle
 from tms_model.frames import imu_to_rear_frame

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares as brute_force
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.prediction import STEPS, derivative, predictor
+from tms_fit.least_squares.prediction import STEPS, derivative, predictor
 from tms_fit.settings import NONLINEAR, PARAMETERS, FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed
 from tms_fit.window import Window

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.online import OnlineFit
-from tms_fit.running_filter import ACCELERATION_NOISE, FIRST_STD, FilterStep, RunningFilter
+from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FIRST_STD, FilterStep, RunningFilter
+from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, stability, yaw_rate
 

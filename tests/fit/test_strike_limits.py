@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.edge import fit_edge, shimmy_frequency
-from tms_fit.strike import Strike
-from tms_fit.strikes import StrikeDetector
+from tms_fit.strikes.detector import StrikeDetector
+from tms_fit.strikes.edge import fit_edge, shimmy_frequency
+from tms_fit.strikes.strike import Strike
 from tms_model import linear_system, load_bicycle, response
 
 RATES = [25.0, 100.0, 400.0, 1000.0, 4000.0]

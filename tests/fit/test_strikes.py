@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tms_fit.online import OnlineFit, StrikeFit
+from tms_fit.running.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
-from tms_fit.strikes import Strike, StrikeDetector
+from tms_fit.strikes.detector import Strike, StrikeDetector
 from tms_model import LinearSystem, bicycle_names, linear_system, load_bicycle, response, stability, yaw_rate
 from tms_model.frames import flip_axes, quaternion
 

@@ -22,12 +22,11 @@ from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, Record, RecordingError, conversion, read_recording
 from tms_bag.checks import findings, survey
 from tms_bag.checks.poses import read_pose
-from tms_bag.csv_export import export_csv
-from tms_bag.csv_import import log_records, read_csv, run_info
-from tms_bag.mapping import FOLDER as MAPPINGS
-from tms_bag.mapping import LogMapping, adapted, load_mapping
+from tms_bag.logs.csv_export import export_csv
+from tms_bag.logs.csv_import import log_records, read_csv, run_info
+from tms_bag.logs.mapping import FOLDER as MAPPINGS
+from tms_bag.logs.mapping import LogMapping, adapted, load_mapping
 from tms_bag.messages import schema_text
-from tms_bag.repair import repair
 from tms_bag.samples import (
     ImuSamples,
     LeanYawSamples,
@@ -36,6 +35,7 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
 )
+from tms_bag.writing.repair import repair
 from tms_model import ParameterError, load_bicycle
 from tms_model.catalogue import FOLDER as BICYCLES
 from tms_sim.scenario import FOLDER as SCENARIOS

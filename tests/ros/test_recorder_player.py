@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, messages
 from tms_bag.nodes.interfaces import message_class, offered_profile
 from tms_bag.qos import LATCHED, SENSOR
-from tms_bag.repair import repair
+from tms_bag.writing.repair import repair
 
 LATEST = QoSProfile(depth=1000)
 

@@ -13,8 +13,8 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from tms_bag import BagReader, BagWriter, Recording, read_recording, topics
 from tms_bag.messages import deserialize
-from tms_fit.live import INPUTS, LiveFit
 from tms_fit.offline import bicycle_of, fit_recording
+from tms_fit.running.live import INPUTS, LiveFit
 from tms_fit.settings import FitSettings
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario

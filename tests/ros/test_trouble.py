@@ -22,8 +22,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import UInt32
 from tms_bag import BagReader, BagWriter, RecordingError, topics
 from tms_bag.nodes.interfaces import message_class, offered_profile
-from tms_bag.repair import repair
-from tms_fit.live import INPUTS, LiveFit
+from tms_bag.writing.repair import repair
+from tms_fit.running.live import INPUTS, LiveFit
 from tms_fit.settings import FitSettings
 from tms_msgs.msg import Handled
 from tms_sim.run import simulate

@@ -271,6 +271,6 @@ def test_symlinked_python_packages_need_no_build(project, bash):
     with (package / "tms_bag/__init__.py").open("a") as file:
         file.write("\n")
     left_behind = ["tms_bag/__pycache__/x.pyc", "tms_bag.egg-info/PKG-INFO", ".pytest_cache/x"]
-    for path in ["tms_bag/new.py", "tms_bag/mappings/new.yaml", *left_behind]:
+    for path in ["tms_bag/new.py", "tms_bag/logs/mappings/new.yaml", *left_behind]:
         executable(package / path, "")
     assert key(project, bash) == before

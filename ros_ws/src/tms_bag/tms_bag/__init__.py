@@ -5,10 +5,10 @@ Nothing outside `tms_bag.nodes` needs ROS at run time. Times at this border are 
 """
 
 from tms_bag.errors import RecordingError
-from tms_bag.reader import BagReader
+from tms_bag.reading.reader import BagReader
 from tms_bag.record import Record
 from tms_bag.recording import Recording, read_recording
-from tms_bag.writer import BagWriter
+from tms_bag.writing.writer import BagWriter
 
 __version__ = "0.1.0"
 

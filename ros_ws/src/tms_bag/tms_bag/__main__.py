@@ -12,13 +12,13 @@ from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 from tqdm import tqdm
 
-from tms_bag.check_command import add_check, check
+from tms_bag.commands.check import add_check, check
+from tms_bag.commands.export import add_export, export
+from tms_bag.commands.import_csv import add_import, import_log
+from tms_bag.commands.record_play import add_play, add_record, play, record
 from tms_bag.errors import RecordingError
-from tms_bag.export_command import add_export, export
-from tms_bag.import_command import add_import, import_log
-from tms_bag.node_commands import add_play, add_record, play, record
-from tms_bag.reader import BagReader
-from tms_bag.repair import repair
+from tms_bag.reading.reader import BagReader
+from tms_bag.writing.repair import repair
 
 
 def main(argv: Sequence[str] | None = None) -> None:

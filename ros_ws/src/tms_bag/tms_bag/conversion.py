@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_bag import topics
-from tms_bag.columns import FRAME_ID, Columns
 from tms_bag.errors import RecordingError
 from tms_bag.messages import deserialize, message_type, serialize
+from tms_bag.reading.columns import FRAME_ID, Columns
+from tms_bag.reading.tables import MessageError, Table, new_table, read_row, read_table, rows, stamps
 from tms_bag.record import Record
 from tms_bag.samples import (
     FloatArray,
@@ -31,7 +32,6 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
 )
-from tms_bag.tables import MessageError, Table, new_table, read_row, read_table, rows, stamps
 
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
 Messages: TypeAlias = "Iterable[Record] | Columns"  # of one topic, as they come or read as arrays

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from tms_bag import conversion, topics
-from tms_bag.columns import Columns
-from tms_bag.definitions import message_of
 from tms_bag.errors import RecordingError
-from tms_bag.reader import BagReader
+from tms_bag.reading.columns import Columns
+from tms_bag.reading.definitions import message_of
+from tms_bag.reading.reader import BagReader
 from tms_bag.samples import (
     ImuSamples,
     LeanYawSamples,

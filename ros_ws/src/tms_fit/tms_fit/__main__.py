@@ -13,12 +13,12 @@ from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
 from tms_fit.arguments import assignment, names
+from tms_fit.criticism.scrutiny import ASKED
 from tms_fit.estimators import ESTIMATORS
-from tms_fit.joint_commands import add_arguments, print_calibration, print_together
-from tms_fit.losses import LOSSES
+from tms_fit.joint.commands import add_arguments, print_calibration, print_together
+from tms_fit.least_squares.losses import LOSSES
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json, to_table
-from tms_fit.scrutiny import ASKED
 from tms_fit.settings import (
     DEFAULT_FREE,
     INTERVALS,

@@ -11,9 +11,9 @@ from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.estimate import Estimate
+from tms_fit.least_squares.prediction import predict_by
 from tms_fit.offline import RecordingFit, orientation_of
-from tms_fit.online import StrikeFit
-from tms_fit.prediction import predict_by
+from tms_fit.running.online import StrikeFit
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window, make_window
 

@@ -54,7 +54,7 @@ class Estimate:
 
     @property
     def nonlinear(self) -> dict[str, float]:
-        """Those of `complete` that `tms_fit.prediction.predictor` must be told."""
+        """Those of `complete` that `tms_fit.least_squares.prediction.predictor` must be told."""
         return {name: value for name, value in self.complete.items() if name in NONLINEAR}
 
     @property

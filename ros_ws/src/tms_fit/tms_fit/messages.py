@@ -9,7 +9,7 @@ from tms_bag.messages import message_type, serialize
 from tms_bag.record import Record
 
 from tms_fit.estimate import Estimate
-from tms_fit.running_filter import FilterStep
+from tms_fit.kalman.running_filter import FilterStep
 from tms_fit.strike_fit import StrikeFit
 
 ESTIMATE, ESTIMATE_TYPE = "estimate", "tms_msgs/msg/Estimate"

@@ -15,9 +15,9 @@ from tms_model.bicycle import Array
 from tms_model.frames import quaternion
 from tqdm import tqdm
 
-from tms_fit.online import OnlineFit, StrikeFit
+from tms_fit.running.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
-from tms_fit.strike import NANOSECONDS, Rejected
+from tms_fit.strikes.strike import NANOSECONDS, Rejected
 
 
 @dataclass(frozen=True, eq=False)

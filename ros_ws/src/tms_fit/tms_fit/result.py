@@ -6,19 +6,19 @@ import math
 from collections.abc import Collection
 from typing import Any
 
-from tms_fit.answer import COLOURED
+from tms_fit.criticism.scrutiny import criticism_json, scrutiny_json, scrutiny_lines
 from tms_fit.estimate import Estimate
+from tms_fit.least_squares.answer import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
-from tms_fit.online import StrikeFit
-from tms_fit.scrutiny import criticism_json, scrutiny_json, scrutiny_lines
+from tms_fit.running.online import StrikeFit
 from tms_fit.settings import FitSettings
-from tms_fit.strike import Strike, StrikeSettings
+from tms_fit.strikes.strike import Strike, StrikeSettings
 
 
 def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
     """The document promised in docs/conventions.md; SI units and radians, SAE signs.
 
-    asked: what else is wanted of each strike, of tms_fit.scrutiny.ASKED.
+    asked: what else is wanted of each strike, of tms_fit.criticism.scrutiny.ASKED.
     """
     start_ns = first_stamp(fit.recording)
     return {

@@ -10,7 +10,7 @@ from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES, Resistance
 from tms_model.response import STATE
 
-from tms_fit.losses import LOSSES
+from tms_fit.least_squares.losses import LOSSES
 
 INITIAL = tuple(
     f"initial_{name}" for name in STATE

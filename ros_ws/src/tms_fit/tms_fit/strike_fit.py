@@ -10,14 +10,14 @@ from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 
-from tms_fit.alignment import Sample, Series
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
-from tms_fit.intervals import with_intervals
+from tms_fit.least_squares.intervals import with_intervals
+from tms_fit.running.alignment import Sample, Series
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
-from tms_fit.strike import NANOSECONDS, Strike
+from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, make_window
 
 

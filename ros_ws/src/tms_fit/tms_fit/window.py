@@ -11,7 +11,7 @@ from tms_model.acceleration import Resistance
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 
-from tms_fit.censoring import saturated
+from tms_fit.least_squares.censoring import saturated
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Record, RecordingError
-from tms_bag.tables import new_table, read_table, rows, stamps
+from tms_bag.reading.tables import new_table, read_table, rows, stamps
 
 Rows = NDArray[np.int64] | NDArray[np.bool_] | slice
 

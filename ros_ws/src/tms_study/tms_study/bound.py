@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from tms_fit.prediction import derivative, predictor
+from tms_fit.least_squares.prediction import derivative, predictor
 from tms_fit.settings import CHANNELS, LINEAR, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window

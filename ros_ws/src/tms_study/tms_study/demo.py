@@ -15,10 +15,10 @@ import numpy as np
 from tms_bag import BagReader, RecordingError, read_recording
 from tms_bag.messages import deserialize
 from tms_fit.figure3b import figure_3b
-from tms_fit.live import INPUTS
 from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.result import to_json
+from tms_fit.running.live import INPUTS
 from tms_fit.settings import FitSettings
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from tms_fit.prediction import predictor
+from tms_fit.least_squares.prediction import predictor
 from tms_fit.settings import NONLINEAR
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window

@@ -11,14 +11,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from tms_fit.criticism.hypotheses import impulse_ratio, verdicts
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.hypotheses import impulse_ratio, verdicts
-from tms_fit.kalman_batch import filter_batch, smooth_start
+from tms_fit.kalman.batch import filter_batch, smooth_start
+from tms_fit.kalman.state_space import bicycle_space
+from tms_fit.least_squares.prediction import predictor
 from tms_fit.offline import feed, orientation_of
-from tms_fit.online import OnlineFit, StrikeFit
-from tms_fit.prediction import predictor
+from tms_fit.running.online import OnlineFit, StrikeFit
 from tms_fit.settings import DEFAULT_FREE, FitSettings
-from tms_fit.state_space import bicycle_space
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle
 from tms_model.bicycle import Array

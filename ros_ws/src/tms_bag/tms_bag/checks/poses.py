@@ -11,9 +11,9 @@ import numpy as np
 from tms_model import ParameterError
 
 from tms_bag import conversion, topics
-from tms_bag.csv_log import number_in, text_of
 from tms_bag.errors import RecordingError
-from tms_bag.reader import BagReader
+from tms_bag.logs.csv_log import number_in, text_of
+from tms_bag.reading.reader import BagReader
 from tms_bag.samples import FloatArray
 
 AXES = ("x", "y", "z")

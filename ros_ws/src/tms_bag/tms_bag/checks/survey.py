@@ -12,7 +12,7 @@ import numpy as np
 from tms_bag import conversion, topics
 from tms_bag.checks.poses import RestPose
 from tms_bag.errors import RecordingError
-from tms_bag.reader import BagReader
+from tms_bag.reading.reader import BagReader
 from tms_bag.recording import find_topic, run_info_of
 from tms_bag.samples import (
     FloatArray,

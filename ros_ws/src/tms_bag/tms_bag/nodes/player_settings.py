@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from tms_bag.errors import RecordingError
 from tms_bag.nodes.parameters import declare, declare_names
-from tms_bag.reader import BagReader
+from tms_bag.reading.reader import BagReader
 from tms_bag.selection import Selection
 
 

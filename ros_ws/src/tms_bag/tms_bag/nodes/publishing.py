@@ -14,7 +14,7 @@ from rclpy.node import Node
 from tms_bag.channel import check_encoding
 from tms_bag.errors import RecordingError
 from tms_bag.nodes.interfaces import OVERRIDABLE, message_class, offered_profile
-from tms_bag.reader import BagReader
+from tms_bag.reading.reader import BagReader
 from tms_bag.record import Record
 from tms_bag.selection import Selection
 

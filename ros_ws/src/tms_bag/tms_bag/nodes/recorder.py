@@ -12,17 +12,17 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 import tms_bag
-from tms_bag.live_bag import LiveBag
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.discovery import Discovery
 from tms_bag.nodes.process import RCLError, run_node
 from tms_bag.nodes.recorder_services import offer_services
 from tms_bag.nodes.recorder_settings import declare_recorder_settings
 from tms_bag.nodes.stamping import SimulatedStamps, WallStamps
-from tms_bag.recent import RecentRecords
 from tms_bag.record import Record
 from tms_bag.remarks import closing_words, disk_words, recording_remarks
-from tms_bag.writer import BagWriter
+from tms_bag.writing.live_bag import LiveBag
+from tms_bag.writing.recent import RecentRecords
+from tms_bag.writing.writer import BagWriter
 
 LOOK_PERIOD = 0.1  # [s] how soon a new topic is found
 DRAIN_PERIOD = 0.005  # [s]

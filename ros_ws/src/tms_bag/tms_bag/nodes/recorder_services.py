@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.node import Node
 from std_srvs.srv import Empty, Trigger
 
-from tms_bag.live_bag import LiveBag
+from tms_bag.writing.live_bag import LiveBag
 
 
 def offer_services(node: Node, bag: LiveBag, drain: Callable[[], None]) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from rclpy.node import Node
 
 from tms_bag.nodes.parameters import declare, declare_names, declare_texts, refuse_unknown_parameters
-from tms_bag.presets import PRESETS
 from tms_bag.selection import Selection
-from tms_bag.writer import Splitting
+from tms_bag.writing.presets import PRESETS
+from tms_bag.writing.writer import Splitting
 
 
 @dataclass(frozen=True)

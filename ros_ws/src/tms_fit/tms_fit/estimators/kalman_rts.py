@@ -23,12 +23,12 @@ from filterpy.kalman import KalmanFilter
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
-from tms_fit.answer import in_order, variance_accounted_for
-from tms_fit.choices import choose
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_choice
-from tms_fit.motion import Motion, motion
-from tms_fit.projection import Problem
+from tms_fit.least_squares.answer import in_order, variance_accounted_for
+from tms_fit.least_squares.choices import choose
+from tms_fit.least_squares.motion import Motion, motion
+from tms_fit.least_squares.projection import Problem
 from tms_fit.settings import BIASES, INITIAL, NONLINEAR, SLIP, FitSettings
 from tms_fit.window import Window
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from tms_fit.alternation import fit_problem
-from tms_fit.answer import answer, in_order, too_short
-from tms_fit.choices import Choice, choose, decelerating
 from tms_fit.estimate import Estimate
-from tms_fit.losses import Loss
+from tms_fit.least_squares.alternation import fit_problem
+from tms_fit.least_squares.answer import answer, in_order, too_short
+from tms_fit.least_squares.choices import Choice, choose, decelerating
+from tms_fit.least_squares.losses import Loss
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 

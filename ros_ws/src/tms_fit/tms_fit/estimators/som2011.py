@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tms_fit.choices import choose
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_choice
+from tms_fit.least_squares.choices import choose
 from tms_fit.settings import LINEAR, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window

@@ -18,11 +18,11 @@ from tms_bag.nodes.ordered_intake import OrderedIntake
 from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
-from tms_fit.live import INPUTS, LiveFit
 from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE, FILTER_STATE_TYPE
 from tms_fit.nodes.bag_fits import BagFits
 from tms_fit.nodes.refit import offer_refit
 from tms_fit.nodes.settings import declare_settings
+from tms_fit.running.live import INPUTS, LiveFit
 
 DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
 

@@ -11,8 +11,8 @@ from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
 from tms_fit.arguments import assignment
-from tms_fit.live import PREVIEW_PERIOD, REORDER_WINDOW
-from tms_fit.losses import LOSSES
+from tms_fit.least_squares.losses import LOSSES
+from tms_fit.running.live import PREVIEW_PERIOD, REORDER_WINDOW
 from tms_fit.settings import (
     FILTERS,
     INTERVALS,

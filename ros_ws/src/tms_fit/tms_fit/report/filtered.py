@@ -7,10 +7,10 @@ from scipy.stats import chi2
 from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.comparison import Comparison
+from tms_fit.kalman.running_filter import FilterStep, RunningFilter
 from tms_fit.offline import RecordingFit, orientation_of
 from tms_fit.report.chart import Columns
 from tms_fit.report.datasets import column
-from tms_fit.running_filter import FilterStep, RunningFilter
 
 
 def filter_steps(fit: RecordingFit, both: Comparison) -> list[FilterStep]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from tms_fit.criticism import Criticism, probability
-from tms_fit.hypotheses import Verdict
+from tms_fit.criticism.hypotheses import Verdict
+from tms_fit.criticism.residuals import Criticism, probability
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, as_sentence, decimals, fixed, number, significant
 

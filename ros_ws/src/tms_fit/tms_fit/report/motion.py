@@ -10,7 +10,7 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN, STEER
 
 from tms_fit.comparison import Comparison
-from tms_fit.motion import motion
+from tms_fit.least_squares.motion import motion
 from tms_fit.settings import INITIAL
 
 

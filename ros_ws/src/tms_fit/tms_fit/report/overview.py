@@ -11,7 +11,7 @@ from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
 from tms_fit.report.section import Section
 from tms_fit.settings import CHANNELS
-from tms_fit.strike import StrikeSettings
+from tms_fit.strikes.strike import StrikeSettings
 
 NAME = "initial_lean_rate"
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tms_fit.estimate import Estimate
-from tms_fit.online import StrikeFit
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
+from tms_fit.running.online import StrikeFit
 
 UNITS = {
     "initial_lean": "rad",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tms_fit.comparison import Comparison
-from tms_fit.intervals import profile
+from tms_fit.least_squares.intervals import profile
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.profile import profile_chart
 from tms_fit.report.datasets import column

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from tms_fit.answer import COLOURED
 from tms_fit.comparison import first_good
 from tms_fit.estimate import Estimate
+from tms_fit.least_squares.answer import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
-from tms_fit.online import StrikeFit
 from tms_fit.report.element import Element, element
 from tms_fit.report.rounding import decimals, fixed, number
+from tms_fit.running.online import StrikeFit
 
 NAME = "initial_lean_rate"
 

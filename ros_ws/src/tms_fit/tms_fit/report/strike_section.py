@@ -6,11 +6,11 @@ import numpy as np
 from tms_model import stability
 from tms_model.bicycle import Array
 
-from tms_fit.budget import error_budget
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
-from tms_fit.criticism import criticise
-from tms_fit.hypotheses import verdicts
-from tms_fit.motion import motion
+from tms_fit.criticism.budget import error_budget
+from tms_fit.criticism.hypotheses import verdicts
+from tms_fit.criticism.residuals import criticise
+from tms_fit.least_squares.motion import motion
 from tms_fit.offline import RecordingFit
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation

@@ -1,0 +1,1 @@
+"""The commands of `bag`, one module each."""

@@ -1,0 +1,1 @@
+"""Logs of other loggers: CSV in, CSV out."""

@@ -1,0 +1,79 @@
+"""What the messages of a bag consist of: by the definitions in the bag, else by those installed here."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from tms_bag import messages
+from tms_bag.channel import Channel
+from tms_bag.errors import RecordingError
+from tms_bag.reading.layout import Fields
+
+LONGEST_SCHEMA = 2**18  # [bytes]; sensor_msgs/Imu with all that it uses has 10,000
+
+
+def fields_of(channel: Channel) -> Fields:
+    """Fields of a topic's type and of all types in it. RecordingError if nobody knows them.
+
+    A bag of an older version of a package brings its own definitions: these count.
+    """
+    stored = _stored_fields(channel.type, channel.schema, channel.schema_encoding)
+    return messages.all_fields(channel.type) if stored is None else stored
+
+
+def message_of(channel: Channel, data: bytes) -> Any:
+    """A message as an object, by the bag's definition of its type. RecordingError if it isn't one."""
+    return messages.deserialize(
+        data, channel.type, _store(channel.type, channel.schema, channel.schema_encoding)
+    )
+
+
+@lru_cache(maxsize=64)
+def _store(type_name: str, schema: bytes, encoding: str) -> Typestore | None:
+    """Types as a bag defines them; None if they are those that are installed."""
+    stored = _stored_fields(type_name, schema, encoding)
+    if stored is None:
+        return None
+    try:
+        known = messages.all_fields(type_name)
+        if all(known.get(name) == fields for name, fields in stored.items()):
+            return None
+    except RecordingError:  # not installed
+        pass
+    store = get_typestore(Stores.EMPTY)
+    store.register(dict(stored))
+    store.max_sequence_length = messages.LONGEST_SEQUENCE
+    return store
+
+
+@lru_cache(maxsize=256)
+def _stored_fields(type_name: str, schema: bytes, encoding: str) -> Fields | None:
+    """By the definition in a bag; None if there is none that can be understood."""
+    parse = {"ros2msg": get_types_from_msg, "ros2idl": get_types_from_idl}.get(encoding)
+    if parse is None or not schema.strip() or len(schema) > LONGEST_SCHEMA:
+        return None
+    try:
+        text = schema.decode("utf-8")
+        found = parse(text, type_name) if parse is get_types_from_msg else get_types_from_idl(text)
+        return _complete(type_name, found)
+    except (TypesysError, SyntaxError, ValueError, KeyError, IndexError, RecursionError, TypeError):
+        return None
+    except RecordingError:
+        return None
+
+
+def _complete(type_name: str, found: Fields) -> Fields:
+    """The type and all types in it, those that the bag doesn't define as installed. KeyError if unknown."""
+    whole: dict[str, object] = {}
+    waiting = [type_name]
+    while waiting:
+        name = waiting.pop()
+        if name in whole:
+            continue
+        whole[name] = found[name] if name in found else messages.all_fields(name)[name]
+        waiting += messages.types_in(whole[name])
+    return whole

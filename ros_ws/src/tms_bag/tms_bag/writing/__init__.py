@@ -1,0 +1,1 @@
+"""Bags written, whole or not there at all; unfinished ones repaired."""

@@ -1,0 +1,84 @@
+"""One MCAP file of a bag, as rosbag2 lays it out, while it is written."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tms_bag.channel import Channel
+from tms_bag.record import Record
+from tms_bag.writing.presets import Preset, make_writer
+
+LIBRARY = "tms_bag"
+MESSAGE_OVERHEAD = 31 + 16  # [bytes] of a message in a chunk beside its data: record and index
+
+
+class McapFile:
+    """A file that is being written. OSError when the system doesn't take what is written."""
+
+    def __init__(self, path: Path, preset: Preset) -> None:
+        self.path = path
+        self.message_count = 0
+        self.time_range: tuple[int, int] | None = None  # earliest and latest log time [ns]
+        self._chunked = preset.chunk_size > 0
+        self._pending = 0  # [bytes] in the chunk that isn't complete yet
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[tuple[str, bytes], int] = {}
+        self._file: BinaryIO = path.open("wb")
+        self._mcap: Any = make_writer(self._file, preset)
+        self._mcap.start(profile="ros2", library=LIBRARY)
+
+    @property
+    def largest_size(self) -> int:
+        """Size that the file has, or could get with what waits in the open chunk [bytes]."""
+        return self._file.tell() + self._pending
+
+    def add_channel(self, channel: Channel) -> None:
+        """Announce a topic."""
+        key = (channel.type, channel.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._mcap.register_schema(
+                channel.type, channel.schema_encoding, channel.schema
+            )
+            self._pending += len(channel.schema)
+        self._channels[channel.name] = self._mcap.register_channel(
+            channel.name, channel.encoding, self._schemas[key], channel.metadata
+        )
+
+    def write(self, record: Record) -> None:
+        """Append a message of an announced topic."""
+        sent = record.time_ns if record.publish_time_ns is None else record.publish_time_ns
+        self._mcap.add_message(self._channels[record.topic], record.time_ns, record.data, sent)
+        if self._chunked:
+            self._pending += len(record.data) + MESSAGE_OVERHEAD
+        self.message_count += 1
+        start, end = self.time_range or (record.time_ns, record.time_ns)
+        self.time_range = (min(start, record.time_ns), max(end, record.time_ns))
+
+    def add_metadata(self, text: str) -> None:
+        """Append what rosbag2 keeps about the bag inside the file."""
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
+
+    def flush(self) -> None:
+        """Complete the chunk and hand everything to the operating system: a kill can't take it back."""
+        self._mcap.flush()
+        self._pending = 0
+
+    def duplicate_handle(self) -> int:
+        """A file descriptor of its own for whoever calls fsync; to be closed by him."""
+        return os.dup(self._file.fileno())
+
+    def finish(self) -> None:
+        """Write the summary, bring everything to the disk and close."""
+        self._mcap.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())  # the name of a finished bag must not come before its content
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        try:
+            self._file.close()
+        except OSError:  # the disk is full, which has been told already
+            self._file.close()

@@ -1,0 +1,1 @@
+"""What speaks against a fit: residuals, rival hypotheses, error budget."""

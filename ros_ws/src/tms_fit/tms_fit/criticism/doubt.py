@@ -1,0 +1,93 @@
+"""When residuals are coloured: the one unknown more that would explain the most of them.
+
+An interval for coloured noise covers what a noise like this does to the estimate. It doesn't cover a wrong
+model, which moves the estimate by as much as it likes. So the plain answer says what may be missing; whether
+it is, `tms_fit.criticism.hypotheses` tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tms_fit.estimate import Estimate
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.answer import COLOURED
+from tms_fit.settings import FitSettings
+from tms_fit.window import Window
+
+CANDIDATES = (
+    "initial_steer_rate",
+    "initial_lean",
+    "initial_steer",
+    "rolling_resistance",
+    "mounting_pitch",
+    "lean_rate_gain",
+)
+STEEPEST = 0.1  # [rad] of mounting pitch; nobody mounts a sensor worse without knowing
+LEAST_SHARE = 0.1  # of the residuals' standard deviation that an unknown must explain to be named
+LEAST_BIC = 10.0  # by which it must lower BIC under white noise
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Why an estimate may be wrong by more than its interval."""
+
+    parameter: str  # that would explain the most of the residuals; empty: none of those tried does
+    sentence: str
+
+
+def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:
+    """What the residuals of an estimate make doubtful; None where neighbouring ones are not alike."""
+    coloured = estimate.noise_model == "ar" or estimate.residual_autocorrelation > COLOURED
+    if estimate.status != "ok" or not coloured or settings.noise == "ar":
+        return None
+    start = "doubtful: neighbouring residuals are alike, and the interval doesn't cover a wrong model"
+    narrow = _with((), window, settings, estimate)
+    fits = {
+        name: _with((name,), window, settings, estimate) for name in _candidates(window, settings, estimate)
+    }
+    wider = {name: fit for name, fit in fits.items() if fit is not None and _plausible(name, fit)}
+    if narrow is not None and wider:
+        name, best = min(wider.items(), key=lambda one: one[1].bic)
+        falls = best.residual_std < (1.0 - LEAST_SHARE) * narrow.residual_std
+        if falls and best.bic < narrow.bic - LEAST_BIC:
+            return Doubt(name, f"{start}; {_in_words(name, narrow, best)}; --hypotheses tests more")
+    return Doubt("", f"{start}; no single unknown more explains it; --hypotheses tests more")
+
+
+def _candidates(window: Window, settings: FitSettings, estimate: Estimate) -> list[str]:
+    """Parameters that were neither found nor fixed, and that the recording doesn't tell itself."""
+    told = {*estimate.names, *settings.fixed}
+    if not window.speed.constant:
+        told.add("rolling_resistance")
+    if window.steer_torque is not None or window.lean_rate_gain:  # recorded
+        told.add("lean_rate_gain")
+    if not np.isfinite(window.yaw_rate).any():
+        told.add("mounting_pitch")
+    return [name for name in CANDIDATES if name not in told]
+
+
+def _with(
+    names: tuple[str, ...], window: Window, settings: FitSettings, estimate: Estimate
+) -> Estimate | None:
+    """The fit with more unknowns under white noise; None where it gives no answer."""
+    fit = fit_window(window, replace(settings, free=(*estimate.names, *names), noise="white"))
+    return fit if fit.status == "ok" else None
+
+
+def _plausible(name: str, fit: Estimate) -> bool:
+    return name != "mounting_pitch" or abs(fit.parameters[name]) < STEEPEST
+
+
+def _in_words(name: str, narrow: Estimate, best: Estimate) -> str:
+    value, std = best.parameters[name], float(best.std[best.names.index(name)])
+    text = (
+        f"with {name} free ({value:.3g} +- {std:.2g}) they fall from {narrow.residual_std:.3f} to"
+        f" {best.residual_std:.3f} rad/s"
+    )
+    if "initial_lean_rate" not in best.names:
+        return text
+    before, after = (one.parameters["initial_lean_rate"] for one in (narrow, best))
+    return f"{text} and the initial lean rate is {after:+.3f}, not {before:+.3f}"

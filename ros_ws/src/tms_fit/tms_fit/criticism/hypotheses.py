@@ -1,0 +1,226 @@
+"""Rival explanations of one free response, each tested against the model with one assumption given up.
+
+A hypothesis says that a parameter has a certain value (no deceleration, no steer rate, no pitch). The wider
+model frees it; the test is Wald's, estimate less hypothesis per standard error, by Student's t, in the noise
+that the wider model leaves: if the effect is real, the narrower model's residuals are coloured by it. Beside
+it stand the differences of AIC and BIC.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+from tms_model import Bicycle
+
+from tms_fit.criticism.residuals import SURE, probability
+from tms_fit.estimate import Estimate
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.settings import FitSettings
+from tms_fit.speed_curve import constant_speed
+from tms_fit.window import Window
+
+SLIP = 0.2  # [s] after a strike in which the front wheel may slip
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One hypothesis and what the data say about it."""
+
+    hypothesis: str  # in words, such as 'constant speed'
+    parameter: str  # of the wider model
+    value: float  # that the wider model finds, SI
+    std: float
+    assumed: float  # what the hypothesis says
+    statistic: float  # (value - assumed) / std; NaN where the data say nothing
+    p_value: float  # NaN where the data say nothing
+    delta_aic: float  # of the wider model less that of the narrower; negative speaks for the wider
+    delta_bic: float
+    sentence: str
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data speak against the hypothesis beyond doubt."""
+        return self.p_value < SURE
+
+
+def verdicts(window: Window, settings: FitSettings) -> tuple[Verdict, ...]:
+    """All hypotheses about one window; those whose parameter is free or fixed already are left out."""
+    narrow = fit_window(window, settings)
+    if not narrow.names:
+        return ()
+    return tuple(verdict for test in TESTS if (verdict := test(window, settings, narrow)) is not None)
+
+
+def impulse_ratio(bicycle: Bicycle) -> float:
+    """Steer rate per lean rate right after a pure roll impulse: M q' = J (1, 0)."""
+    rates = np.linalg.solve(bicycle.mass, [1.0, 0.0])
+    return float(rates[1] / rates[0])
+
+
+def _no_slip(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    """Whether the first 0.2 s go with the rest: Chow's test, fewer degrees of freedom for coloured noise.
+
+    G. C. Chow, Econometrica 28 (1960), doi 10.2307/1910133: residual sums with and without the early samples.
+    """
+    early = window.time + window.delay < SLIP
+    absent = np.where(early, np.nan, 0.0)
+    late = replace(window, lean_rate=window.lean_rate + absent, yaw_rate=window.yaw_rate + absent)
+    rest = fit_window(late, replace(settings, free=narrow.names))
+    if rest.status != "ok" or narrow.sample_count <= rest.sample_count:  # slip is left out already
+        return None
+    rho = max(0.0, rest.residual_autocorrelation)
+    share = (1.0 - rho) / (1.0 + rho)
+    count = narrow.sample_count - rest.sample_count
+    own = float(np.nansum(rest.residual**2))
+    more = max(float(np.nansum(narrow.residual**2)) - own, 0.0)
+    degrees = (max(count * share, 1.0), max(rest.degrees_of_freedom * share, 1.0))
+    statistic = more / count / (own / rest.degrees_of_freedom)
+    p = float(stats.f.sf(statistic, *degrees))
+    size = math.sqrt(more / count)
+    said = f"the first {SLIP:g} s are off the rest by {size:.3f} rad/s"
+    sentence = (
+        f"no slip at the strike is rejected ({probability(p)}); {said}"
+        if p < SURE
+        else f"no slip at the strike is not rejected ({probability(p)})"
+    )
+    nan = float("nan")
+    return Verdict("no slip at the strike", "slip", size, nan, 0.0, statistic, p, nan, nan, sentence)
+
+
+def _constant_speed(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    """Whether the rates alone, and nothing of a speed sensor, show that the speed falls."""
+    if {"rolling_resistance"} & {*narrow.names, *settings.fixed}:
+        return None
+    steady = replace(window, speed=constant_speed(window.start_speed, window.speed.std))
+    free = tuple(dict.fromkeys((*narrow.names, "speed")))
+    fixed = {name: value for name, value in settings.fixed.items() if name != "speed"}
+    at_constant = replace(settings, free=free, fixed=fixed, priors={}, speed_model="constant")
+    wider = replace(at_constant, free=(*free, "rolling_resistance"))
+    return _wald(
+        "constant speed",
+        "rolling_resistance",
+        0.0,
+        fit_window(steady, at_constant),
+        fit_window(steady, wider),
+        lambda value, std: f"decelerating with C_r = {value:.4f} +- {std:.4f}",
+    )
+
+
+def _no_steer_rate(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    return _freed(
+        "no steer rate at the start",
+        "initial_steer_rate",
+        (window, settings, narrow),
+        lambda value, std: f"a steer rate of {value:.3f} +- {std:.3f} rad/s",
+    )
+
+
+def _impulse_steer_rate(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    """Whether the steer rate is the one that a roll impulse on a freely steering bicycle gives."""
+    name = "initial_steer_rate"
+    if "initial_lean_rate" not in narrow.names or {name} & {*settings.fixed, *settings.priors}:
+        return None
+    wide = narrow if name in narrow.names else fit_window(window, _widened(settings, narrow, name))
+    if wide.status != "ok":
+        return None
+    ratio = impulse_ratio(window.bicycle)
+    weights = np.array([{name: 1.0, "initial_lean_rate": -ratio}.get(one, 0.0) for one in wide.names])
+    assumed = ratio * wide.parameters["initial_lean_rate"]
+    value, std = wide.parameters[name], math.sqrt(float(weights @ wide.covariance @ weights))
+    return _verdict(
+        f"the steer rate of a roll impulse, {ratio:.2f} times the lean rate",
+        (name, value, std, assumed),
+        (wide, narrow),
+        f"a steer rate of {value:.3f} +- {wide.std[wide.names.index(name)]:.3f} rad/s",
+    )
+
+
+def _no_pitch(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    return _freed(
+        "a level sensor",
+        "mounting_pitch",
+        (window, settings, narrow),
+        lambda value, std: f"one pitched by {math.degrees(value):.2f} +- {math.degrees(std):.2f} deg",
+    )
+
+
+def _no_feedback(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    if window.steer_torque is not None:
+        return None
+    return _freed(
+        "no steer feedback" if not window.lean_rate_gain else "the feedback gain as commanded",
+        "lean_rate_gain",
+        (window, settings, narrow),
+        lambda value, std: f"a gain of {value:.4g} +- {std:.2g} N m s/rad",
+        window.lean_rate_gain,
+    )
+
+
+def _freed(
+    hypothesis: str,
+    name: str,
+    given: tuple[Window, FitSettings, Estimate],
+    words: Callable[[float, float], str],
+    assumed: float = 0.0,
+) -> Verdict | None:
+    window, settings, narrow = given
+    if name in {*narrow.names, *settings.fixed}:
+        return None
+    wide = fit_window(window, _widened(settings, narrow, name))
+    return _wald(hypothesis, name, assumed, narrow, wide, words)
+
+
+def _widened(settings: FitSettings, narrow: Estimate, name: str) -> FitSettings:
+    return replace(settings, free=(*narrow.names, name))
+
+
+def _wald(
+    hypothesis: str,
+    name: str,
+    assumed: float,
+    narrow: Estimate,
+    wide: Estimate,
+    words: Callable[[float, float], str],
+) -> Verdict:
+    if wide.status != "ok":
+        nan = float("nan")
+        text = f"{hypothesis}: the data can't tell ({wide.message})"
+        return Verdict(hypothesis, name, nan, nan, assumed, nan, nan, nan, nan, text)
+    value, std = wide.parameters[name], float(wide.std[wide.names.index(name)])
+    return _verdict(hypothesis, (name, value, std, assumed), (wide, narrow), words(value, std))
+
+
+def _verdict(
+    hypothesis: str,
+    found: tuple[str, float, float, float],
+    fits: tuple[Estimate, Estimate],
+    alternative: str,
+) -> Verdict:
+    name, value, std, assumed = found
+    wide, narrow = fits
+    statistic = (value - assumed) / std
+    p = 2.0 * float(stats.t.sf(abs(statistic), max(wide.degrees_of_freedom, 1)))
+    sentence = (
+        f"{hypothesis} is rejected ({probability(p)}); {alternative} is not"
+        if p < SURE
+        else f"{hypothesis} is not rejected ({probability(p)}); the wider model finds {alternative}"
+    )
+    return Verdict(
+        hypothesis,
+        name,
+        value,
+        std,
+        assumed,
+        statistic,
+        p,
+        wide.aic - narrow.aic,
+        wide.bic - narrow.bic,
+        sentence,
+    )
+
+
+TESTS = (_constant_speed, _no_steer_rate, _impulse_steer_rate, _no_slip, _no_pitch, _no_feedback)

@@ -1,0 +1,1 @@
+"""Many strikes in one fit: shared numbers, heterogeneity, calibration of a bicycle."""

@@ -1,0 +1,194 @@
+"""The strikes of several recordings in one fit, and how much they differ from strike to strike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student_t
+from tms_model import ParameterError
+from tms_model.bicycle import Array
+
+from tms_fit.estimate import Estimate
+from tms_fit.joint.arrow import solve_arrow
+from tms_fit.joint.free_responses import (
+    BICYCLE_NUMBERS,
+    JointProblem,
+    JointSolution,
+    Run,
+    block_of,
+    solve_jointly,
+)
+from tms_fit.joint.heterogeneity import RandomEffects, random_effects
+from tms_fit.offline import RecordingFit, first_stamp
+from tms_fit.settings import BIASES, LINEAR, NONLINEAR, check_known
+from tms_fit.speed_curve import SpeedCurve
+from tms_fit.window import Window
+
+SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name != "strike_time"), *BICYCLE_NUMBERS)
+DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Strike:
+    """One strike of one recording, as `fit run` sees it."""
+
+    recording: str  # name of the bag
+    index: int  # counted from 1, as found in the recording
+    seconds: float  # since the recording's first stamp
+    start_ns: int  # of the free response
+    found: Window | None  # None: there was nothing to compare with
+    alone: Estimate  # its own fit
+
+    @property
+    def window(self) -> Window:
+        """What is compared; a strike in a joint fit always has one."""
+        assert self.found is not None
+        return self.found
+
+
+@dataclass(frozen=True, eq=False)
+class TogetherFit:
+    """One fit of several strikes."""
+
+    strikes: tuple[Strike, ...]
+    left_out: tuple[Strike, ...]  # that had no estimate of their own
+    solution: JointSolution
+    shared_covariance: Array  # (s, s)
+    own_covariance: tuple[Array, ...]  # (q, q) of each strike
+    between: dict[str, RandomEffects]  # of what each strike's own fit says
+
+    @property
+    def quantile(self) -> float:
+        """Half of a 95 % interval per standard error."""
+        return float(student_t.ppf(0.975, max(self.solution.problem.degrees_of_freedom, 1)))
+
+
+def strikes_of(fit: RecordingFit) -> tuple[Strike, ...]:
+    """The strikes of a recording by number and time."""
+    start = first_stamp(fit.recording)
+    return tuple(
+        Strike(
+            recording=fit.recording.path.name,
+            index=k,
+            seconds=(one.start_ns - start) / 1e9,
+            start_ns=one.start_ns,
+            found=one.window,
+            alone=one.estimates[0],
+        )
+        for k, one in enumerate(fit.strikes, start=1)
+    )
+
+
+def usable(strikes: Sequence[Strike]) -> tuple[tuple[Strike, ...], tuple[Strike, ...]]:
+    """Strikes with an estimate of their own, and those without. Raises ParameterError if none has one."""
+    good = tuple(one for one in strikes if one.found is not None and one.alone.status == "ok")
+    if not good:
+        why = f"; the first says: {strikes[0].alone.message}" if strikes else ""
+        raise ParameterError(f"expected at least one strike that can be fitted, found {len(strikes)}{why}")
+    return good, tuple(one for one in strikes if one not in good)
+
+
+def fit_together(
+    strikes: Sequence[Strike],
+    share: tuple[str, ...],
+    known: Mapping[str, float] | None = None,
+    method: str = "reml",
+) -> TogetherFit:
+    """One fit of strikes that share `share`, biases or numbers of the bicycle.
+
+    The other unknowns are those of the strikes' own fits, `known` what was fixed in them. Raises
+    ParameterError for names that can't be shared, or if no strike can be fitted.
+    """
+    check_known(share, SHAREABLE, "share")
+    if len(set(share)) < len(share):
+        raise ParameterError(f"share: expected each name once, found {', '.join(share)}")
+    good, left_out = usable(strikes)
+    if any("strike_time" in one.alone.names for one in good):
+        raise ParameterError("free: strike_time: expected in fit run only, where a joint fit takes it from")
+    runs = tuple(
+        Run(
+            one.window,
+            tuple(name for name in one.alone.names if name in LINEAR and name not in share),
+            tuple(name for name in one.alone.names if name not in LINEAR and name not in share),
+        )
+        for one in good
+    )
+    linear = tuple(name for name in share if name in LINEAR)
+    problem = JointProblem(runs, linear, tuple(name for name in share if name not in LINEAR), known or {})
+    solution = solve_jointly(problem)
+    if solution.arrow is None:
+        return TogetherFit(good, left_out, solution, np.empty((0, 0)), (), {})
+    shared, own = _covariances(solution)
+    return TogetherFit(good, left_out, solution, shared, own, _between(good, method))
+
+
+def _between(strikes: Sequence[Strike], method: str) -> dict[str, RandomEffects]:
+    """Random-effects mean of each parameter over the strikes' own fits."""
+    answer = {}
+    for name in dict.fromkeys(name for one in strikes for name in one.alone.names):
+        pairs = [
+            (one.alone.parameters[name], one.alone.std[one.alone.names.index(name)])
+            for one in strikes
+            if name in one.alone.names
+        ]
+        values, std = (np.array(column, dtype=float) for column in zip(*pairs, strict=True))
+        if (std > 0.0).all():
+            answer[name] = random_effects(values, std, method)
+    return answer
+
+
+def _covariances(solution: JointSolution) -> tuple[Array, tuple[Array, ...]]:
+    """Covariances of shared and own values: noise as the residuals have it, and what is known inexactly."""
+    assert solution.arrow is not None
+    problem, arrow = solution.problem, solution.arrow
+    scale = solution.variance / problem.noise**2
+    shared = scale * arrow.shared_inverse
+    own = [scale * inverse for inverse in arrow.own_inverse]
+    blocks = [
+        block_of(problem, run, solution.shared, values)
+        for run, values in zip(problem.runs, solution.own, strict=True)
+    ]
+    nothing = np.empty((0, len(problem.shared))), np.empty(0)
+    for k, run in enumerate(problem.runs):
+        names = {*problem.shared, *run.nonlinear, *problem.known}
+        for low, high, width in _inexact(run.window, names):
+            steps = []
+            for window in (low, high):
+                moved = block_of(problem, replace(run, window=window), solution.shared, solution.own[k])
+                found = solve_arrow([*blocks[:k], moved, *blocks[k + 1 :]], *nothing)
+                steps.append(found)
+            if steps[0] is None or steps[1] is None:
+                continue
+            shift = (steps[1].shared - steps[0].shared) / width
+            shared = shared + np.outer(shift, shift)
+            for j, (before, after) in enumerate(zip(steps[0].own, steps[1].own, strict=True)):
+                one = (after - before) / width
+                own[j] = own[j] + np.outer(one, one)
+    return shared, tuple(own)
+
+
+def _inexact(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, float]]:
+    """Pairs of windows that differ by what is known inexactly, and by how many standard deviations.
+
+    names: what is free or fixed, and so takes the place of what the window says.
+    """
+    curve = window.speed
+    spread = curve.covariance.copy()
+    if "speed" in names:
+        spread[0, :] = spread[:, 0] = 0.0
+    if "rolling_resistance" in names:
+        spread[1:, :] = spread[:, 1:] = 0.0
+    variances, axes = np.linalg.eigh(spread)
+    for variance, axis in zip(variances, axes.T, strict=True):
+        if variance > 0.0:
+            step = DIFFERENCE * math.sqrt(variance) * axis
+            ends = (SpeedCurve(curve.coefficients + part * step, curve.covariance) for part in (-1.0, 1.0))
+            low, high = (replace(window, speed=end) for end in ends)
+            yield low, high, 2.0 * DIFFERENCE
+    if window.delay_std and "strike_time" not in names:
+        step = DIFFERENCE * window.delay_std
+        least, most = max(window.delay - step, 0.0), window.delay + step
+        yield replace(window, delay=least), replace(window, delay=most), (most - least) / window.delay_std

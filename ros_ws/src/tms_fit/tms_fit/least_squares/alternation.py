@@ -1,0 +1,198 @@
+"""Parameters, noise, weights of outliers and saturated samples: each in the light of the others, in turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from tms_model.bicycle import Array
+
+from tms_fit.least_squares import censoring
+from tms_fit.least_squares.losses import Loss, scale
+from tms_fit.least_squares.noise import NOISES, Noise
+from tms_fit.least_squares.noise.autoregressive import Autoregressive, remembers
+from tms_fit.least_squares.noise.white import White
+from tms_fit.least_squares.prediction import derivative
+from tms_fit.least_squares.projection import Problem, Rows, Solution, solve
+from tms_fit.settings import NONLINEAR
+
+ROUNDS = 60  # at most
+SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A solution with the noise under which it is one."""
+
+    solution: Solution  # its inverse is the covariance
+    noise: Noise
+    noise_model: str
+
+
+def fit_problem(problem: Problem, noise_model: str, loss: Loss) -> Fitted:
+    """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured."""
+    window, known = problem.window, noise_model
+    plain = solution = solve(problem, _first_rows(problem))
+    noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
+    limits = _limits(problem)
+    for _ in range(ROUNDS):
+        if solution.status == "not_observable":
+            break
+        residual = problem.window.measured - problem.predicted(solution.values)
+        fitted = _fitted(problem, solution)
+        if known == "auto":
+            known = "white" if limits is not None else _colour(residual)
+        noise = _noise(known, loss, problem, residual, fitted, limits)
+        if limits is not None:
+            rows = _weighted_by(np.sqrt(limits.information(problem, solution, noise)), noise.rows)
+            problem = limits.replaced(problem, solution, noise)
+        else:
+            rows = _weighted(noise.rows, loss, residual)
+        before, start = solution, solution.values[len(problem.linear) :]
+        solution = solve(problem, rows, start)
+        if _final(problem, known, loss, limits) or _same(before, solution):
+            break
+    if solution.status != "not_observable":
+        solution = _with_covariance(problem, solution, noise, loss, limits)
+    if noise_model == "auto" and known == "ar" and loss.name == "squares" and not problem.priors:
+        # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
+        # explain most of the measurement.
+        solution = replace(solution, values=plain.values)
+    return Fitted(solution, noise, known)
+
+
+def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
+    """Whether one round is enough: nothing that was found changes what is best."""
+    if loss.name != "squares" or limits is not None:
+        return False
+    return not problem.priors if noise_model == "white" else not problem.nonlinear
+
+
+def _first_rows(problem: Problem) -> Rows:
+    good = np.isfinite(problem.window.measured)
+    return lambda values: values[good]
+
+
+def _noise(
+    name: str, loss: Loss, problem: Problem, residual: Array, fitted: Array, limits: _Limits | None
+) -> Noise:
+    if name == "white" and loss.name != "squares":
+        good = np.isfinite(residual)
+        return White(good, scale(residual[good], fitted.shape[2]))
+    noise = NOISES[name](problem.window.time, residual, fitted)
+    if limits is not None and isinstance(noise, White):
+        return White(noise.good, limits.std(problem, residual, fitted.shape[2], noise.std))
+    return noise
+
+
+def _weighted(rows: Rows, loss: Loss, residual: Array) -> Rows:
+    """The rows, each by the root of the weight that its residual has."""
+    if loss.name == "squares":
+        return rows
+    return _weighted_by(np.sqrt(loss.weights(rows(residual))), rows)
+
+
+def _weighted_by(root: Array, rows: Rows) -> Rows:
+    return lambda values: _times(root, rows(values))
+
+
+def _times(factor: Array, rows: Array) -> Array:
+    return factor.reshape(-1, *(1,) * (rows.ndim - 1)) * rows
+
+
+def _with_covariance(
+    problem: Problem, solution: Solution, noise: Noise, loss: Loss, limits: _Limits | None
+) -> Solution:
+    """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
+    residual = problem.window.measured - problem.predicted(solution.values)
+    if isinstance(noise, Autoregressive) and loss.name == "squares":
+        return _averaged(problem, solution, noise, residual)
+    rows = noise.rows(solution.channels)
+    jacobian = solution.jacobian.copy()
+    jacobian[: len(rows)] = rows
+    if limits is not None and isinstance(noise, White):
+        root = np.sqrt(limits.information(problem, solution, noise))
+        jacobian[: len(rows)] = _times(root, rows)
+    plain = replace(solution, jacobian=jacobian)
+    if loss.name == "squares":
+        return plain
+    return replace(plain, covariance=loss.inflation(noise.rows(residual), len(problem.names)) * plain.of_rows)
+
+
+def _averaged(problem: Problem, solution: Solution, noise: Autoregressive, residual: Array) -> Solution:
+    """Parameters and covariance averaged over what coloured noise may be."""
+    priors = solution.jacobian[len(noise.rows(residual)) :]
+    shift, covariance = noise.average(residual, solution.channels, priors.T @ priors)
+    return replace(solution, values=solution.values + shift, covariance=covariance)
+
+
+def _colour(residual: Array) -> str:
+    """'ar' if the residuals of least squares remember anything, else 'white'."""
+    return "ar" if remembers(residual) else "white"
+
+
+def _fitted(problem: Problem, solution: Solution) -> Array:
+    """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
+    if not problem.window.delay_std or "strike_time" in {*problem.names, *problem.known}:
+        return solution.channels
+    values = problem.values(solution.values)
+    nonlinear = {name: value for name, value in values.items() if name in NONLINEAR}
+    by_start = derivative(problem.window, nonlinear, "strike_time").predict(values)
+    return np.concatenate([solution.channels, by_start[:, :, None]], axis=2)
+
+
+def _same(before: Solution, after: Solution) -> bool:
+    """Whether two solutions are one, as far as anybody can tell."""
+    if "not_observable" in (before.status, after.status):
+        return True
+    std = np.sqrt(np.diag(after.inverse))
+    return bool((np.abs(after.values - before.values) <= SETTLED * std).all())
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Saturated samples of a window: where they are, and the limit that each stands at."""
+
+    rows: Array  # (n, 2) bool
+    sign: Array  # (m,)
+    limit: Array  # (m,) [rad/s]
+
+    def _at(self, function: Callable[..., Array], predicted: Array, std: float) -> Array:
+        return function(self.limit, self.sign, predicted[self.rows], std)
+
+    def replaced(self, problem: Problem, solution: Solution, noise: Noise) -> Problem:
+        """The problem with each saturated sample at its working value."""
+        assert isinstance(noise, White)
+        window = problem.window
+        measured = window.measured
+        measured[self.rows] = self._at(censoring.working, problem.predicted(solution.values), noise.std)
+        return replace(problem, window=replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]))
+
+    def std(self, problem: Problem, residual: Array, unknowns: int, std: float) -> float:
+        """Deviation of the noise, the spread left of the saturated samples included."""
+        good = np.isfinite(residual)
+        predicted = problem.window.measured - residual
+        spread = float(np.sum(self._at(censoring.excess, predicted, std))) * std**2
+        off = np.where(good, residual, 0.0)
+        off[self.rows] = self._at(censoring.expected, predicted, std) - predicted[self.rows]
+        squares = float(np.sum(off**2)) + spread
+        return math.sqrt(squares / max(int(good.sum()) - unknowns, 1))
+
+    def information(self, problem: Problem, solution: Solution, noise: Noise) -> Array:
+        """Share (m,) of its information that each sample of the rows keeps."""
+        assert isinstance(noise, White)
+        share = np.ones(self.rows.shape)
+        predicted = problem.predicted(solution.values)
+        share[self.rows] = self._at(censoring.information, predicted, noise.std)
+        kept: Array = share[noise.good]
+        return kept
+
+
+def _limits(problem: Problem) -> _Limits | None:
+    window = problem.window
+    if window.saturated is None or not window.saturated.any():
+        return None
+    rows = (window.saturated != 0.0) & np.isfinite(window.measured)
+    return _Limits(rows, window.saturated[rows], window.measured[rows])

@@ -1,0 +1,77 @@
+"""What is known but not exactly: how its uncertainty widens the covariance, to first order.
+
+The instant of the strike between two samples, and the speed as a sensor measured it, are taken as known for a
+fit. With D the change of the prediction by such a quantity, the solution moves by -(J'J)^-1 J'D, and by what
+the columns themselves change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from tms_model.bicycle import Array
+
+from tms_fit.least_squares.prediction import Predictor, derivative, predictor
+from tms_fit.least_squares.projection import Problem, Rows, Solution
+from tms_fit.settings import NONLINEAR
+from tms_fit.speed_curve import SpeedCurve
+from tms_fit.window import Window
+
+CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]
+
+
+def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows) -> Array:
+    """What uncertain known quantities add to the covariance (p, p) of a solution."""
+    added = np.zeros((len(problem.names), len(problem.names)))
+    window = problem.window
+    if window.delay_std and "strike_time" not in {*problem.names, *problem.known}:
+        nonlinear = _nonlinear(problem, solution)
+        shift = _shift(problem, solution, rows, derivative(window, nonlinear, "strike_time"))
+        added += np.outer(shift, shift) * window.delay_std**2
+    changes = list(_by_curve(problem, solution))
+    if changes:
+        powers, models = zip(*changes, strict=True)
+        shifts = np.stack([_shift(problem, solution, rows, model) for model in models], axis=1)
+        added += shifts @ window.speed.covariance[np.ix_(powers, powers)] @ shifts.T
+    return added
+
+
+def _by_curve(problem: Problem, solution: Solution) -> Iterator[tuple[int, Predictor]]:
+    """Changes of the predictor by those coefficients of the speed curve that matter."""
+    window, names = problem.window, {*problem.names, *problem.known}
+    if not window.speed.covariance.any():
+        return
+    nonlinear = _nonlinear(problem, solution)
+    for power in range(len(window.speed.coefficients)):
+        if (power and "rolling_resistance" in names) or (not power and "speed" in names):
+            continue
+        ends = [predictor(_moved(window, power, part * CURVE_STEP), nonlinear) for part in (-1.0, 1.0)]
+        columns, forced = (
+            (getattr(ends[1], part) - getattr(ends[0], part)) / (2.0 * CURVE_STEP)
+            for part in ("columns", "forced")
+        )
+        yield power, Predictor(columns, forced)
+
+
+def _moved(window: Window, power: int, change: float) -> Window:
+    coefficients = window.speed.coefficients.copy()
+    coefficients[power] += change
+    return replace(window, speed=SpeedCurve(coefficients, window.speed.covariance))
+
+
+def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) -> Array:
+    """Derivative (p,) of the solution by a quantity that changes the predictor like this."""
+    direct = rows(change.predict(problem.values(solution.values)))
+    jacobian = solution.jacobian[: len(direct)]
+    moved = -jacobian.T @ direct
+    count = len(problem.linear)
+    moved[:count] += rows(change.select(problem.linear)).T @ solution.rows[: len(direct)]
+    shift: Array = solution.of_rows @ moved
+    return shift
+
+
+def _nonlinear(problem: Problem, solution: Solution) -> dict[str, float]:
+    values = problem.values(solution.values)
+    return {name: value for name, value in values.items() if name in NONLINEAR}

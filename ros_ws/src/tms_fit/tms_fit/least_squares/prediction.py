@@ -1,0 +1,138 @@
+"""What the bicycle predicts for the two channels: linear in the initial states and the biases.
+
+The other parameters (NONLINEAR) shape the columns; derivatives with respect to them are central differences,
+right to 2e-7 of their size (a test compares them with Richardson's extrapolation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from tms_model.bicycle import Array
+from tms_model.response import LEAN_RATE
+
+from tms_fit.estimate import Estimate
+from tms_fit.least_squares.motion import Motion, known_values, motion
+from tms_fit.settings import BIASES, INITIAL, LINEAR, SLIP
+from tms_fit.window import Window
+
+STEPS = {  # of the differences; the speed's is per m/s
+    "speed": 1e-4,
+    "rolling_resistance": 1e-4,
+    "strike_time": 1e-5,
+    "lean_rate_gain": 1e-5,
+    "mounting_pitch": 1e-5,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Channels of a window as `columns @ parameters + forced`, parameters in the order of LINEAR."""
+
+    columns: Array  # (n, 2, 7)
+    forced: Array  # (n, 2) [rad/s], by the known steer torque
+
+    def select(self, names: tuple[str, ...]) -> Array:
+        """Columns (n, 2, p) of some linear parameters."""
+        return self.columns[:, :, [LINEAR.index(name) for name in names]]
+
+    def predict(self, parameters: Mapping[str, float]) -> Array:
+        """Lean rate and yaw rate (n, 2) [rad/s]; linear parameters left out are zero."""
+        values = np.array([parameters.get(name, 0.0) for name in LINEAR])
+        predicted: Array = self.columns @ values + self.forced
+        return predicted
+
+
+def predictor(window: Window, nonlinear: Mapping[str, float] | None = None) -> Predictor:
+    """Predictor of a window for nonlinear parameters by name; those left out are as the window has them.
+
+    Raises ParameterError as `tms_fit.least_squares.motion.motion` does.
+    """
+    values = nonlinear or {}
+    moved = motion(window, values)
+    columns = np.zeros((len(window.time), 2, len(LINEAR)))
+    forced = np.zeros((len(window.time), 2))
+    columns[:, :, : len(INITIAL)], forced[:] = _channels(moved, window.steer_torque)
+    pitch = values.get("mounting_pitch", 0.0)
+    if pitch:
+        columns, forced = _seen_by(pitch, columns), _seen_by(pitch, forced)
+    for channel in range(len(BIASES)):
+        columns[:, channel, len(INITIAL) + channel] = 1.0
+    if window.slip_window:
+        since = window.time - values.get("strike_time", -window.delay)
+        columns[:, 1, LINEAR.index(SLIP)] = np.maximum(1.0 - since / window.slip_window, 0.0)
+    return Predictor(columns, forced)
+
+
+def derivative(window: Window, nonlinear: Mapping[str, float], name: str) -> Predictor:
+    """Change of the predictor per unit of one nonlinear parameter, at values given by name."""
+    centre = {**known_values(window), **nonlinear}.get(name, 0.0)
+    step = STEPS[name] * (centre if name == "speed" else 1.0)
+    low, high = centre - step, centre + step
+    if name == "strike_time":
+        high = min(high, 0.0)  # there is no free response before the strike
+    ends = [predictor(window, {**nonlinear, name: value}) for value in (low, high)]
+    columns, forced = (
+        (getattr(ends[1], part) - getattr(ends[0], part)) / (high - low) for part in ("columns", "forced")
+    )
+    return Predictor(columns, forced)
+
+
+def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
+    """Both channels (n, 2) [rad/s] as an estimate predicts them, and their derivatives (n, 2, p)."""
+    model = predictor(window, estimate.nonlinear)
+    columns = [
+        model.columns[:, :, LINEAR.index(name)]
+        if name in LINEAR
+        else derivative(window, estimate.nonlinear, name).predict(estimate.complete)
+        for name in estimate.names
+    ]
+    return model.predict(estimate.complete), np.stack(columns, axis=2)
+
+
+def _channels(moved: Motion, steer_torque: Array | None) -> tuple[Array, Array]:
+    """Lean and yaw rate (n, 2, 4) per initial state and (n, 2) by a known torque (n,) or None."""
+    states = _free(moved.transitions) if steer_torque is None else _forced(moved, np.nan_to_num(steer_torque))
+    yaw = np.matmul(moved.yaw[:, None, :], states)[:, 0]
+    both = np.stack([states[:, LEAN_RATE], yaw], axis=1)
+    return both[:, :, :4], both[:, :, 4]
+
+
+def _free(transitions: Array) -> Array:
+    """States (n, 4, 5) per initial state, nothing acting: the last column is zero."""
+    count = len(transitions)
+    states = np.zeros((count, 4, 5))
+    if not count:
+        return states
+    states[0, :, :4] = transitions[0]
+    if count > 2 and (transitions[1:] == transitions[1]).all():
+        # Equal steps: what the first k samples are, the next k are after k steps more.
+        known, power = 1, transitions[1]
+        while known < count:
+            more = min(known, count - known)
+            np.matmul(power, states[:more], out=states[known : known + more])
+            known, power = known + more, power @ power
+        return states
+    for k in range(1, count):
+        np.dot(transitions[k], states[k - 1], out=states[k])
+    return states
+
+
+def _forced(moved: Motion, torque: Array) -> Array:
+    """States (n, 4, 5) per initial state, and in the last column by a known torque (n,)."""
+    states = np.zeros((len(moved.transitions), 4, 5))
+    state = np.eye(4, 5)
+    for k, transition in enumerate(moved.transitions):
+        np.dot(transition, state, out=states[k])
+        state = states[k]
+        state[:, 4] += moved.torque_steps[k] * torque[max(k - 1, 0)]
+    return states
+
+
+def _seen_by(pitch: float, rates: Array) -> Array:
+    """Lean and yaw rates (n, 2, ...) as a sensor pitched nose up by an angle [rad] feels them."""
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    return np.stack([cos * rates[:, 0] - sin * rates[:, 1], sin * rates[:, 0] + cos * rates[:, 1]], axis=1)

@@ -1,0 +1,206 @@
+"""Predictions of one window tabulated over speed and other nonlinear parameters, to fit many runs at once.
+
+All predictions of a problem, for any parameters within a box, lie in a space of some twenty dimensions. Its
+basis comes from the singular values of predictions at Chebyshev's points of the box; the coordinates in it
+are Chebyshev series in the parameters. A run's samples enter by one product with the basis; all else happens
+in coordinates, whatever the number of samples.
+
+Reference: L. N. Trefethen, Approximation Theory and Approximation Practice (2013), chapters 3 and 8, doi
+10.1137/1.9781611975949, for the series and their convergence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_model import ParameterError
+from tms_model.bicycle import Array
+
+from tms_fit.least_squares.prediction import predictor
+from tms_fit.least_squares.projection import Problem
+
+FIRST, MOST = 8, 64  # Chebyshev points per parameter, to begin with and at most
+TOLERANCE = 1e-9  # of the basis and the series, per largest prediction
+CHECKS = 7  # points per parameter between Chebyshev's, at which the error is measured
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Predictions of a problem: rows (m,) = basis @ (coordinates @ linear parameters + those of the forced).
+
+    The rows are the measured samples of the problem's window, both channels, sample by sample.
+    """
+
+    problem: Problem
+    good: NDArray[np.bool_]  # (n, 2), measured in the problem's window
+    low: Array  # (q,) ends of the box
+    high: Array
+    basis: Array  # (m, r), orthonormal
+    series: Array  # (k_1 ... k_q, r (p + 1)) Chebyshev coefficients, flattened to (k_1 ... k_q) by r (p + 1)
+    orders: tuple[int, ...]  # k_1 ... k_q
+    error: float  # largest seen between Chebyshev's points, per largest prediction
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether no sample of the problem's window is missing."""
+        return bool(self.good.all())
+
+    @cached_property
+    def degrees(self) -> Array:
+        """Degrees (k,) of the terms, of a table over one parameter."""
+        return np.arange(self.orders[0], dtype=float)
+
+    @property
+    def rank(self) -> int:
+        """Dimensions of the space, r."""
+        return int(self.basis.shape[1])
+
+    def coordinates(self, nonlinear: Array) -> Array:
+        """Coordinates of the linear parameters' columns and of the forced response (R, r, p + 1).
+
+        nonlinear: (R, q), within the box.
+        """
+        values, _ = self.evaluate(nonlinear, slopes=False)
+        return values
+
+    def evaluate(self, nonlinear: Array, slopes: bool = True) -> tuple[Array, Array]:
+        """Coordinates (R, r, p + 1) and their derivatives (R, q, r, p + 1) at nonlinear values (R, q)."""
+        count, unknowns = len(nonlinear), len(self.orders)
+        shape = (self.rank, len(self.problem.linear) + 1)
+        terms, steep = [], []
+        for k, order in enumerate(self.orders):
+            half = 0.5 * (self.high[k] - self.low[k])
+            angle = np.arccos(
+                np.clip((nonlinear[:, k] - self.low[k]) / half - 1.0, -1.0 + 1e-13, 1.0 - 1e-13)
+            )
+            turns = angle[:, None] * np.arange(order)
+            terms.append(np.cos(turns))
+            if slopes:
+                steep.append(np.arange(order) * np.sin(turns) / (half * np.sin(angle))[:, None])
+        rows = [_outer(terms)]
+        if slopes:
+            rows += [_outer([*terms[:k], steep[k], *terms[k + 1 :]]) for k in range(unknowns)]
+        found = np.concatenate(rows) @ self.series if self.orders else self.series[None, 0].repeat(count, 0)
+        values = found[:count].reshape(count, *shape)
+        derivatives = found[count:].reshape(unknowns if slopes else 0, count, *shape).transpose(1, 0, 2, 3)
+        return values, derivatives
+
+    def project(self, measured: Array) -> tuple[Array, Array]:
+        """Coordinates (R, r) of what was measured (R, n, 2), and the squares (R,) outside the space."""
+        rows = measured.reshape(len(measured), -1) if self.complete else measured[:, self.good]
+        inside = rows @ self.basis
+        squares = np.einsum("ri,ri->r", rows, rows)
+        return inside, np.maximum(squares - np.einsum("ri,ri->r", inside, inside), 0.0)
+
+
+def tabulate(problem: Problem, ranges: Mapping[str, tuple[float, float]] | None = None) -> Table:
+    """The table of a problem's predictions, its nonlinear parameters within `ranges` (low, high).
+
+    Linear parameters that are known are in the forced response. Raises ParameterError for a range that is
+    missing or empty, for a problem with priors, and where no series of MOST terms reaches TOLERANCE (take a
+    narrower range or a shorter window).
+    """
+    ranges = ranges or {}
+    for name in problem.nonlinear:
+        if name not in ranges or not ranges[name][0] < ranges[name][1]:
+            raise ParameterError(f"table: expected a range low < high of {name}, found {ranges.get(name)}")
+    if problem.priors:
+        raise ParameterError("table: expected no priors; fit one run after the other with them")
+    low = np.array([ranges[name][0] for name in problem.nonlinear])
+    high = np.array([ranges[name][1] for name in problem.nonlinear])
+    orders: tuple[int, ...] = ()
+    for axis in range(len(low)):
+        # Alone first, the other parameters in the middle of their ranges.
+        middle = 0.5 * (low + high)
+        below, above = middle - 1e-9 * (high - low), middle + 1e-9 * (high - low)
+        below[axis], above[axis] = low[axis], high[axis]
+        first = [FIRST if k == axis else 1 for k in range(len(low))]
+        orders += (_enough(problem, below, above, first, only=axis)[1][axis] + (2 if len(low) > 1 else 0),)
+    table, _ = _enough(problem, low, high, list(orders))
+    return replace(table, error=_error(table))
+
+
+def _enough(
+    problem: Problem, low: Array, high: Array, orders: list[int], only: int | None = None
+) -> tuple[Table, list[int]]:
+    """The table with as many points as its tolerance needs, in all parameters or one; how many those are."""
+    while True:
+        table, tails = _table(problem, low, high, tuple(orders))
+        short = [k for k, tail in enumerate(tails) if tail > TOLERANCE and only in (None, k)]
+        if not short:
+            return table, orders
+        orders = [order + 4 * (k in short) for k, order in enumerate(orders)]
+        if max(orders) > MOST:
+            raise ParameterError(
+                f"table: no series of {MOST} terms is exact to {TOLERANCE:g}; take narrower ranges or a"
+                " shorter window"
+            )
+
+
+def _table(problem: Problem, low: Array, high: Array, orders: tuple[int, ...]) -> tuple[Table, Array]:
+    """The table of some orders, and the size (q,) of the last two terms in each parameter."""
+    good = np.isfinite(problem.window.measured)
+    angles = [math.pi * (np.arange(order) + 0.5) / order for order in orders]
+    nodes = [
+        0.5 * (a + b) + 0.5 * (b - a) * np.cos(angle) for a, b, angle in zip(low, high, angles, strict=True)
+    ]
+    points = [np.array(point) for point in product(*nodes)]
+    predictions = np.array([_rows(problem, point, good) for point in points])  # (N, m, p + 1)
+    flat = predictions.transpose(1, 0, 2).reshape(predictions.shape[1], -1)
+    scale = np.abs(predictions).max(axis=(0, 1))
+    scale[scale == 0.0] = 1.0
+    vectors, singular, _ = np.linalg.svd(flat / np.tile(scale, len(points)), full_matrices=False)
+    basis = vectors[:, singular > TOLERANCE * singular[0]]
+    inside = np.einsum("mr,nmp->nrp", basis, predictions)
+    series = inside.reshape(*orders, -1)
+    tails = []
+    for axis, (order, angle) in enumerate(zip(orders, angles, strict=True)):
+        transform = 2.0 / order * np.cos(np.outer(np.arange(order), angle))
+        transform[0] *= 0.5
+        series = np.moveaxis(np.tensordot(transform, series, axes=(1, axis)), 0, axis)
+    scaled = series.reshape(*orders, basis.shape[1], -1) / scale
+    for axis in range(len(orders)):
+        last = np.take(scaled, [-1] if orders[axis] == 1 else [-2, -1], axis=axis)
+        tails.append(float(np.abs(last).max() / np.abs(scaled).max()))
+    table = Table(problem, good, low, high, basis, series.reshape(max(len(points), 1), -1), orders, math.nan)
+    return table, np.array(tails)
+
+
+def _rows(problem: Problem, point: Array, good: NDArray[np.bool_]) -> Array:
+    """Columns of the linear parameters and the forced response at one point (m, p + 1)."""
+    values = dict(zip(problem.nonlinear, point.tolist(), strict=True))
+    model = predictor(problem.window, {**problem.known_nonlinear, **values})
+    return np.concatenate([model.select(problem.linear), model.predict(problem.known)[:, :, None]], axis=2)[
+        good
+    ]
+
+
+def _error(table: Table) -> float:
+    """Largest error between Chebyshev's points, per largest prediction."""
+    places = [np.linspace(a, b, CHECKS + 2)[1:-1] for a, b in zip(table.low, table.high, strict=True)]
+    points = np.array([np.array(point) for point in product(*places)]).reshape(
+        math.prod(len(place) for place in places), len(places)
+    )
+    worst = 0.0
+    for point, inside in zip(points, table.coordinates(points), strict=True):
+        exact = _rows(table.problem, point, table.good)
+        scale = np.abs(exact).max(axis=0)
+        scale[scale == 0.0] = 1.0
+        worst = max(worst, float((np.abs(table.basis @ inside - exact) / scale).max()))
+    return worst
+
+
+def _outer(terms: list[Array]) -> Array:
+    """Products of terms (R, k_1), (R, k_2) ... as (R, k_1 k_2 ...)."""
+    if not terms:
+        return np.ones((1, 1))
+    found = terms[0]
+    for other in terms[1:]:
+        found = (found[:, :, None] * other[:, None, :]).reshape(len(found), -1)
+    return found

@@ -1,0 +1,1 @@
+"""Samples as they come: live, replayed and offline go through the same classes."""

@@ -1,0 +1,270 @@
+"""Strikes and fits from samples as they come: live run, replayed bag and `fit run` go through one class."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from tms_model import Bicycle, ParameterError
+from tms_model.bicycle import Array
+from tms_model.frames import flip_axes, imu_to_rear_frame, rotation_matrix
+
+from tms_fit.estimators import check_names
+from tms_fit.kalman.extended_filter import ExtendedFilter, FirstGuess, Wandering
+from tms_fit.kalman.running_filter import FilterStep, RunningFilter
+from tms_fit.least_squares.censoring import saturated
+from tms_fit.least_squares.projection import Problem, solve
+from tms_fit.running.alignment import PATIENCE, Alignment, Sample
+from tms_fit.settings import INITIAL, FitSettings
+from tms_fit.strike_fit import Stretch, StrikeFit, fit_strike, stretch_of, window_of
+from tms_fit.strikes.detector import StrikeDetector
+from tms_fit.strikes.given import GivenStrikes
+from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
+
+__all__ = ["PATIENCE", "OnlineFit", "StrikeFit"]
+
+MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
+LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
+LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
+EXPLAINED = 0.5  # share of a change that the motion before must predict to be its cause; at most its inverse
+SWINGING: tuple[str, ...] = (
+    "initial_lean_rate",
+    "initial_steer_rate",
+    "lean_rate_bias",
+)  # unknowns after a strike
+
+
+class OnlineFit:
+    """Feed it samples as they arrive (see `tms_fit.running.alignment`); take what `results` returns."""
+
+    def __init__(
+        self,
+        bicycle: Bicycle,
+        settings: FitSettings,
+        imu_orientation: Array,
+        nominal_speed: float = float("nan"),
+        running_filter: bool = True,
+        strike_times: tuple[int, ...] = (),
+        reorder_window: float = 0.0,
+        preview_period: float | None = None,
+    ) -> None:
+        """Nothing is known yet.
+
+        imu_orientation: quaternion x, y, z, w, imu -> rear frame (REP-103).
+        nominal_speed [m/s]: used without a speed topic. strike_times [ns]: starts of the free responses
+        that somebody states; without any they are looked for.
+        reorder_window [s]: how late an IMU sample may be.
+        preview_period [s]: how often an unfolding response is fitted, by the first estimator; None: not.
+        """
+        check_names(settings.estimators)
+        self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
+        self._nominal_speed = settings.fixed.get("speed", nominal_speed)
+        self._filter = _filter(bicycle, settings) if running_filter else None
+        self._rotation = rotation_matrix(imu_orientation)
+        self._counts: Counter[str] = Counter()
+        self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
+        self._aligned = Alignment(reorder_window, settings.fixed.get("speed"))
+        self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
+        self._previewed_ns = 0
+        self._used: list[Sample] = []
+        self._strikes: list[Strike] = []
+        self._onsets: list[int] = []  # [ns] of strikes, as far back as samples are kept
+        self._strike_count = 0
+        self._latest: Strike | None = None
+        self._results: list[StrikeFit | FilterStep] = []
+        self._last_step: FilterStep | None = None
+
+    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
+        """One sample: gyroscopes (3,) [rad/s] in imu axes, variances (3,); NaN: absent, unknown."""
+        rotated = unsaturated = self._to_rear_frame(angular_velocity)
+        full = self._settings.gyroscope_range
+        if full is not None and (at_limit := saturated(angular_velocity, full) != 0.0).any():
+            self._counts["saturated"] += 1
+            unsaturated = self._to_rear_frame(np.where(at_limit, np.nan, angular_velocity))
+        self._aligned.add_imu(time_ns, rotated, variance, unsaturated)
+        self._release()
+
+    def add_speed(self, time_ns: int, speed: float) -> None:
+        """Forward speed [m/s]."""
+        self._aligned.speed.add(time_ns, speed)
+        self._release()
+
+    def add_steer_torque(self, time_ns: int, steer_torque: float) -> None:
+        """Known steer torque [N m], SAE sign, held until the next one."""
+        self._aligned.steer_torque.add(time_ns, steer_torque)
+        self._release()
+
+    def finish(self) -> None:
+        """No more samples will come: use what waits and fit what is open."""
+        self._release(finished=True)
+        while self._strikes:
+            self._fit()
+
+    @property
+    def last_step(self) -> FilterStep | None:
+        """What the running filter said last."""
+        return self._last_step
+
+    @property
+    def rejected(self) -> list[Rejected]:
+        """The latest changes that were looked at and not taken for strikes."""
+        return list(self._detector.rejected)
+
+    def results(self) -> list[StrikeFit | FilterStep]:
+        """What has become known since the last call, in order."""
+        results, self._results = self._results, []
+        return results
+
+    @property
+    def counts(self) -> Counter[str]:
+        """IMU samples left out: repeated, late; and saturated ones, which the running filter leaves out."""
+        return self._aligned.counts + self._counts
+
+    @property
+    def strike_count(self) -> int:
+        """Strikes found so far."""
+        return self._strike_count
+
+    def refit(self, fit: StrikeFit, bicycle: Bicycle, settings: FitSettings) -> StrikeFit:
+        """Fit a strike once more with other settings; a longer window ends where the memory does.
+
+        Raises ParameterError for an unknown estimator.
+        """
+        check_names(settings.estimators)
+        first_ns = int(fit.stretch.time_ns[0])
+        end_ns = first_ns + round(settings.window * NANOSECONDS)
+        end_ns = min([end_ns, *(onset for onset in self._onsets if onset > first_ns)])
+        stretch = fit.stretch.until(end_ns)
+        if end_ns > fit.end_ns and self._used and self._used[0].time_ns <= first_ns:
+            stretch = self._stretch(first_ns, end_ns)
+        return fit_strike(fit.strike, stretch, bicycle, settings)
+
+    def _to_rear_frame(self, angular_velocity: Array) -> Array:
+        if math.isfinite(angular_velocity.sum()):  # nothing is absent
+            turned: Array = flip_axes(angular_velocity[None, :] @ self._rotation.T)[0]
+        else:
+            turned = imu_to_rear_frame(angular_velocity[None, :], self._orientation)[0]
+        return turned
+
+    def _release(self, finished: bool = False) -> None:
+        for sample in self._aligned.ready(finished):
+            self._use(sample)
+
+    def _use(self, sample: Sample) -> None:
+        self._used.append(sample)
+        strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
+        if strike is not None and strike.kind != "given" and self._is_free_response(strike):
+            self._detector.withdraw("the bicycle's own motion, as the model continues what came before")
+            strike = None
+        if strike is not None:
+            self._strikes.append(strike)
+            self._onsets.append(strike.onset_ns)
+            self._strike_count += 1
+            self._latest = strike
+        if self._filter is not None:
+            self._run_filter(sample, strike)
+        longest = round((self._settings.window + self._detector.latency) * NANOSECONDS)
+        while self._strikes and (
+            len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest
+        ):
+            self._fit()
+        self._preview(sample.time_ns)
+        if not self._strikes and self._used[0].time_ns < sample.time_ns - 2 * MEMORY:
+            keep = sample.time_ns - MEMORY
+            self._used = [one for one in self._used if one.time_ns > keep]
+            self._onsets = [onset for onset in self._onsets if onset > keep]
+            self._aligned.speed.forget(keep)
+            self._aligned.steer_torque.forget(keep)
+
+    def _run_filter(self, sample: Sample, strike: Strike | None) -> None:
+        """One step; a strike, known only some time after, is made good by filtering anew from it on."""
+        assert self._filter is not None
+        first = len(self._used) - 1
+        if strike is not None:
+            self._filter.restart(strike=True)
+            first = next(index for index, one in enumerate(self._used) if one.time_ns >= strike.time_ns)
+        step: FilterStep | None = None
+        for index in range(first, len(self._used)):
+            one = self._used[index]
+            speed = one.speed if np.isfinite(one.speed) else self._nominal_speed
+            if not speed > 0.0:
+                return
+            step = self._filter.step(
+                one.time_ns, one.unsaturated, one.variance, speed, self._held_torque(index), one.speed_ns
+            )
+        if step is not None:
+            self._last_step = step
+            self._results.append(step)
+
+    def _held_torque(self, index: int) -> float:
+        """Known torque [N m] since the sample before `index`, 0 when none is known."""
+        torque = self._used[index - 1].steer_torque if index else 0.0
+        return torque if np.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
+
+    def _is_free_response(self, strike: Strike) -> bool:
+        """Whether the motion just before, as the bicycle continues it, explains half of this change."""
+        last, assumed = self._latest, SWINGING
+        since = strike.onset_ns - LOOK_BACK
+        if last is not None and strike.onset_ns - last.time_ns <= MEMORY:
+            since = last.time_ns
+        else:  # whatever moves now, its beginning is not known
+            assumed = (*INITIAL, "lean_rate_bias")
+        samples = [one for one in self._used if since <= one.time_ns <= strike.time_ns]
+        if last is None and not strike.sharp and strike.onset_ns < samples[0].time_ns + LEAST_HISTORY:
+            return True  # a recording that begins in mid-swing looks like this
+        try:
+            window = window_of(self._stretch_of(samples), self._bicycle, self._settings)
+        except ParameterError:
+            return False
+        before = np.array([one.time_ns <= strike.onset_ns for one in samples])
+        known = replace(window, lean_rate=np.where(before, window.lean_rate, np.nan))
+        known = replace(known, yaw_rate=np.where(before, window.yaw_rate, np.nan))
+        problem = Problem(known, assumed)
+        good = np.isfinite(known.measured)
+        solution = solve(problem, lambda values: values[good])
+        if solution.status == "not_observable":
+            return False
+        predicted = problem.predicted(solution.values)[:, 0]
+        share = float(predicted[-1] - predicted[np.flatnonzero(before)[-1]]) / strike.change
+        return EXPLAINED < share < 1.0 / EXPLAINED
+
+    def _fit(self) -> None:
+        """Fit the oldest open strike."""
+        strike = self._strikes.pop(0)
+        end_ns = strike.time_ns + round(self._settings.window * NANOSECONDS)
+        if self._strikes:
+            end_ns = min(end_ns, self._strikes[0].onset_ns)
+        stretch = self._stretch(strike.time_ns, end_ns)
+        self._results.append(fit_strike(strike, stretch, self._bicycle, self._settings))
+
+    def _preview(self, now_ns: int) -> None:
+        """Fit the open strike with what has come so far, every now and then."""
+        if self._preview_ns is None or not self._strikes or now_ns < self._previewed_ns + self._preview_ns:
+            return
+        self._previewed_ns = now_ns
+        strike = self._strikes[0]
+        quick = replace(self._settings, estimators=self._settings.estimators[:1])
+        stretch = self._stretch(strike.time_ns, now_ns)
+        self._results.append(fit_strike(strike, stretch, self._bicycle, quick, final=False))
+
+    def _stretch(self, first_ns: int, last_ns: int) -> Stretch:
+        return self._stretch_of([one for one in self._used if first_ns <= one.time_ns <= last_ns])
+
+    def _stretch_of(self, samples: list[Sample]) -> Stretch:
+        return stretch_of(samples, self._aligned.speed, self._nominal_speed)
+
+
+def _filter(bicycle: Bicycle, settings: FitSettings) -> RunningFilter:
+    """The filter of the settings; what they fix is known to it."""
+    if settings.filter == "linear":
+        return RunningFilter(bicycle, settings.gyroscope_noise)
+    guess, wandering = FirstGuess(), Wandering()
+    resistance = settings.fixed.get("rolling_resistance", 0.0 if "speed" in settings.fixed else None)
+    if resistance is not None:
+        guess = replace(guess, rolling_resistance=resistance, rolling_resistance_std=0.0)
+        wandering = replace(wandering, rolling_resistance=0.0)
+    if "speed" in settings.fixed:
+        guess, wandering = replace(guess, speed_share=0.0), replace(wandering, speed=0.0)
+    return ExtendedFilter(bicycle, settings.gyroscope_noise, guess, wandering)

@@ -1,0 +1,1 @@
+"""Strikes found in rates, sample by sample, each with its reasons."""

@@ -1,0 +1,202 @@
+"""Strikes found from the lean rate alone, sample by sample: a live run and a recorded one find the same.
+
+A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle does by
+itself. All lengths are in seconds, so that any sample rate from 25 Hz to 4 kHz will do; samples closer than
+5 ms are averaged for the search, and a running mean over 50 ms, one period of a 20 Hz shimmy, hides that and
+most of the noise. Two things raise suspicion:
+
+- a swing: the mean has changed within `rise` by more than `least_change`, six times its noise, and the fading
+  memory of the swings before (a bicycle that rings down swings less each time);
+- a kink: three successive means of 50 ms depart from a line by more than `least_change`, six times what is
+  usual.
+
+`rise` seconds later the change is judged (`tms_fit.strikes.judgement`). After a kink, `tms_fit.strikes.edge`
+fits it: when it most likely took less than 0.14 s it is a strike, and the free response starts where the
+fitted impulse ends (when no sample lies within it, the strike is `sharp`: its instant is left to the fit of
+the bicycle). Else it may be a push: steep (its steepest 0.1 s, kept up for 0.2 s, would make up the change; a
+weave oscillation is rounder), not the swing back from the last strike; and its free response starts at the
+extremum of the lean rate, or where its level is first reached when it then stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from tms_fit.strikes.judgement import LEAST_SAMPLES, MEAN, Stretch, judge_kink, judge_swing
+from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
+
+LONGEST_GAP = 0.15  # [s] without samples; across a longer one no change is known to be sudden
+BIN = 5_000_000  # [ns]; samples closer than this are averaged for the search
+KEPT = 2 * NANOSECONDS  # [ns] of samples that a change is judged by
+MANY_TIMES = 6.0  # the noise: less is no change
+
+
+class StrikeDetector:
+    """Finds strikes in a stream of lean rates. Same samples, same strikes, whoever feeds them."""
+
+    def __init__(self, settings: StrikeSettings | None = None) -> None:
+        self._settings = settings or StrikeSettings()
+        self._raw: deque[tuple[int, float]] = deque()  # samples [ns], [rad/s]
+        self._bin: list[tuple[int, float]] = []  # samples of the bin that is open
+        self._time: deque[int] = deque()  # [ns] bins
+        self._rate: deque[float] = deque()  # [rad/s] bins
+        self._mean: deque[float] = deque()  # [rad/s] running means
+        self._memory: deque[float] = deque()  # fading memory of swings, after each bin
+        self._kinks: deque[float] = deque()  # [rad/s]
+        self._swung: tuple[int, float] | None = None  # when [ns] a swing raised suspicion, needed [rad/s]
+        self._kinked: tuple[int, float] | None = None  # the same for a kink
+        self._last: deque[Strike] = deque(maxlen=2)
+        self.rejected: deque[Rejected] = deque(maxlen=200)
+
+    @property
+    def latency(self) -> float:
+        """Seconds after the start of a free response until it is reported, at most."""
+        return 2.0 * self._settings.rise
+
+    def push(self, time_ns: int, lean_rate: float) -> Strike | None:
+        """Take one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
+        if not math.isfinite(lean_rate):
+            return None
+        strike = None
+        if self._raw and time_ns - self._raw[-1][0] > LONGEST_GAP * NANOSECONDS:
+            self._close_bin()
+            strike = self._judge()  # on what there is; across the gap no change is known to be sudden
+            self._forget()
+        if self._bin and time_ns - self._bin[0][0] >= BIN:
+            self._close_bin()
+            suspicions = [one[0] for one in (self._swung, self._kinked) if one]
+            if suspicions and time_ns - max(suspicions) >= self._settings.rise * NANOSECONDS:
+                strike = self._judge()
+        self._bin.append((time_ns, lean_rate))
+        self._raw.append((time_ns, lean_rate))
+        while self._raw[-1][0] - self._raw[0][0] > KEPT:
+            self._raw.popleft()
+        return strike
+
+    def withdraw(self, why: str) -> None:
+        """Take back the last strike: who knows the bicycle found it to be something else."""
+        strike = self._last.pop()
+        self.rejected.append(Rejected(strike.time_ns, strike.change, why))
+
+    def _forget(self) -> None:
+        self._bin.clear()
+        for series in (self._raw, self._time, self._rate, self._mean, self._memory, self._kinks):
+            series.clear()
+        self._swung = self._kinked = None
+
+    def _close_bin(self) -> None:
+        """Use the open bin; raise suspicion where it is due."""
+        if not self._bin:
+            return
+        count = len(self._bin)
+        first = self._bin[0][0]
+        time_ns = first + sum(when - first for when, _ in self._bin) // count
+        rate = sum(value for _, value in self._bin) / count
+        self._bin.clear()
+        values = [rate]
+        for when, value in self._latest_first(self._rate):
+            if when <= time_ns - MEAN:
+                break
+            values.append(value)
+        mean = sum(values) / len(values)
+        swing, earlier = self._swing(time_ns, mean), self._earlier_memory(time_ns)
+        kink = self._kink(time_ns, mean)
+        self._append(time_ns, rate, mean, swing, kink)
+        if len(self._time) > LEAST_SAMPLES:
+            self._suspect(time_ns, swing, earlier, abs(kink))
+
+    def _suspect(self, time_ns: int, swing: float, earlier: float, kink: float) -> None:
+        """Note the first swing and the first kink that nothing usual makes."""
+        least = self._settings.least_change
+        # The noise, a median, is asked for last: on a quiet ride that is hardly ever.
+        if self._kinked is None and kink > least and kink > self._usual_kink():
+            self._kinked = (time_ns, max(least, self._usual_kink()))
+        if self._swung is None and swing > max(least, earlier):
+            noise = MANY_TIMES * self._noise_of_means()
+            if swing > noise:
+                self._swung = (time_ns, max(least, earlier, noise))
+
+    def _latest_first(self, values: deque[float]) -> zip[tuple[int, float]]:
+        return zip(reversed(self._time), reversed(values), strict=True)
+
+    def _swing(self, time_ns: int, mean: float) -> float:
+        """Largest change from any mean of the last `rise` seconds to this one."""
+        since = time_ns - self._settings.rise * NANOSECONDS
+        least = most = mean
+        for when, earlier in zip(reversed(self._time), reversed(self._mean), strict=True):
+            if when < since:
+                break
+            if earlier < least:
+                least = earlier
+            elif earlier > most:
+                most = earlier
+        return max(mean - least, most - mean)
+
+    def _kink(self, time_ns: int, mean: float) -> float:
+        """The mean now less what the two means of the 100 ms before it lead to."""
+        found: list[float] = []
+        for when, value in self._latest_first(self._mean):
+            if when <= time_ns - MEAN * (len(found) + 1) + 1_000_000:  # stamps jitter
+                found.append(value)
+                if len(found) == 2:
+                    return mean - 2.0 * found[0] + found[1]
+        return 0.0
+
+    def _earlier_memory(self, time_ns: int) -> float:
+        """Memory of the swings as it stood before the present change can have begun, faded until now."""
+        since = time_ns - self._settings.rise * NANOSECONDS
+        for when, memory in self._latest_first(self._memory):
+            if when < since:
+                return memory * math.exp(-(time_ns - when) / NANOSECONDS / self._settings.memory)
+        return 0.0
+
+    def _append(self, time_ns: int, rate: float, mean: float, swing: float, kink: float) -> None:
+        if self._time:
+            fade = math.exp(-(time_ns - self._time[-1]) / NANOSECONDS / self._settings.memory)
+            swing = max(swing, self._memory[-1] * fade)
+        series = (self._rate, self._mean, self._memory, self._kinks)
+        self._time.append(time_ns)
+        for one, value in zip(series, (rate, mean, swing, kink), strict=True):
+            one.append(value)
+        while self._time[-1] - self._time[0] > KEPT:
+            self._time.popleft()
+            for one in series:
+                one.popleft()
+
+    def _usual_kink(self) -> float:
+        """Six times the standard deviation of the kinks, from their median size."""
+        return MANY_TIMES * 1.4826 * float(np.median(np.abs(np.array(self._kinks))))
+
+    def _noise_of_means(self) -> float:
+        """Standard deviation of the running means: a kink of white noise has six times their variance."""
+        return self._usual_kink() / MANY_TIMES / math.sqrt(6.0)
+
+    def _judge(self) -> Strike | None:
+        """The strike that raised suspicion, if there is one."""
+        swung, kinked, self._swung, self._kinked = self._swung, self._kinked, None, None
+        if not (swung or kinked):
+            return None
+        stretch = self._stretch()
+        strike: Strike | Rejected | None = judge_kink(stretch, *kinked, self._settings) if kinked else None
+        if strike is None and swung:
+            strike = judge_swing(stretch, *swung, self._settings)
+        if isinstance(strike, Rejected):
+            self.rejected.append(strike)
+            return None
+        if strike is not None:
+            self._last.append(strike)
+        return strike
+
+    def _stretch(self) -> Stretch:
+        return Stretch(
+            time=np.array([when for when, _ in self._raw], dtype=np.int64),
+            rate=np.array([rate for _, rate in self._raw]),
+            bin_time=np.array(self._time, dtype=np.int64),
+            bin_rate=np.array(self._rate),
+            bin_mean=np.array(self._mean),
+            kink=np.array(self._kinks),
+            last=self._last[-1] if self._last else None,
+        )
