@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
-from tms_model.catalogue import NOT_YAML
+from tms_model.yaml_text import NOT_YAML, load_yaml
 
 from tms_bag.channel import Channel
 from tms_bag.errors import RecordingError
@@ -22,8 +22,6 @@ ROOT = "rosbag2_bagfile_information"
 VERSION = 9
 EMPTY_BAG_START_NS = 2**63 - 1  # what rosbag2 writes when there is no message
 LARGEST_FILE = 4 * 2**20  # [bytes]; real ones are a few kilobytes
-
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ def custom_data_of_record(text: str) -> dict[str, str]:
     if len(text) > LARGEST_FILE:
         return {}
     try:
-        information = yaml.load(text, Loader=_Loader)
+        information = load_yaml(text)
     except NOT_YAML:
         return {}
     if isinstance(information, dict):
@@ -161,7 +159,7 @@ def _load(path: Path) -> dict[str, Any]:
             raise RecordingError(
                 f"{path}: expected a few kilobytes, found {path.stat().st_size} bytes; {hint}"
             )
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        content = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, *NOT_YAML) as error:
         raise RecordingError(f"{path}: can't be read as YAML ({_first_line(error)}); {hint}") from error
     information = content.get(ROOT) if isinstance(content, dict) else None

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
-from tms_model.catalogue import NOT_YAML
+from tms_model.yaml_text import NOT_YAML, load_yaml
 
 INFINITE_NS = 2**63 - 1  # how rmw spells "no deadline, no lifespan, no lease"
 
@@ -61,7 +61,8 @@ SENSOR = Qos()
 LATCHED = Qos(durability="transient_local", depth=1)
 
 
-def to_yaml(profiles: Sequence[Qos]) -> str:
+@lru_cache(maxsize=64)  # the topics of a bag share a few
+def to_yaml(profiles: tuple[Qos, ...]) -> str:
     """The text that a channel of an MCAP file carries as `offered_qos_profiles`."""
     return yaml.safe_dump([qos.to_dict() for qos in profiles], sort_keys=False).strip() if profiles else ""
 
@@ -71,7 +72,7 @@ def from_yaml(text: str) -> tuple[Qos, ...]:
     if len(text) > LONGEST_TEXT:
         return ()
     try:
-        return from_list(yaml.safe_load(text))
+        return from_list(load_yaml(text))
     except NOT_YAML:
         return ()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def arriving(records: Iterable[Record], arrival_ns: Sequence[int]) -> list[Recor
     One arrival for each record; records that arrive together keep their order.
     """
     late = [
-        replace(record, time_ns=int(arrival), publish_time_ns=record.time_ns)
+        Record(record.topic, record.type, int(arrival), record.data, record.time_ns)
         for record, arrival in zip(records, arrival_ns, strict=True)
     ]
     return sorted(late, key=lambda record: record.time_ns)

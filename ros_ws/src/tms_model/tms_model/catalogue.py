@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from tms_model.bicycle import Array, Bicycle, assemble
 from tms_model.calibrated import read_calibration
@@ -27,13 +26,12 @@ from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
 from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, ParameterError, WhippleParameters
 from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
+from tms_model.yaml_text import NOT_YAML, load_yaml
 
 FOLDER = Path(__file__).parent / "bicycles"
 LARGEST_YAML = 2**20  # [bytes]
 MOST_ENTRIES = 20_000
 LARGEST_NUMBER = 1e30  # in SI units; the products of larger ones overflow, and a YAML integer has no end
-# What the safe loader raises for texts that aren't YAML, or not of the types that their tags say.
-NOT_YAML = (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RecursionError)
 _TEXT = ("description", "source", "uncertainty")
 _GEOMETRY = ("wheelbase", "trail", "steer_axis_tilt", "gravity")
 
@@ -76,7 +74,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
             raise ParameterError(
                 f"{path}: expected a YAML file of some kilobytes, found more than a megabyte"
             )
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ParameterError(f"{path}: expected a readable YAML file, found: {error.strerror}") from error
     except NOT_YAML as error:

@@ -14,6 +14,7 @@ import yaml
 from tms_bag import Record, RecordingError, topics
 from tms_bag.event import events
 from tms_bag.samples import RunInfo
+from tms_model.yaml_text import load_yaml
 
 from tms_sim import __version__
 from tms_sim.run import SimulatedRun
@@ -36,7 +37,7 @@ def truth_path(bag: str | os.PathLike[str]) -> Path:
 def blinded(run: SimulatedRun, scenario: Scenario) -> SimulatedRun:
     """The same run with the information that an experimenter could write down; `records` still has all."""
     known = Scenario("", {key: scenario.values[key] for key in KNOWN})
-    document = yaml.safe_load(known.to_yaml())
+    document = load_yaml(known.to_yaml())
     del document["scenario"]
     info = replace(
         run.info,

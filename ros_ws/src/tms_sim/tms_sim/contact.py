@@ -7,7 +7,7 @@ it then needs is within the friction again. In each of the nine modes the equati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -31,12 +31,18 @@ class Contacts:
     equations: SlidingEquations
     limits: Array  # (2,) [N], infinite: never slides
     acceleration: float  # v' [m/s^2]
+    _solvers: dict[Mode, tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     def solver(self, mode: Mode) -> tuple[Array, Array]:
         """Inverse (6, 6) of the equations for u' + v r, r', lean'', steer'' and both forces; friction (2,).
 
         Right-hand side: the forces on the four rows, then what each contact's row says.
         """
+        if mode not in self._solvers:
+            self._solvers[mode] = self._solver(mode)
+        return self._solvers[mode]
+
+    def _solver(self, mode: Mode) -> tuple[Array, Array]:
         e = self.equations
         matrix = np.zeros((6, 6))
         matrix[:4, :4], matrix[:4, 4:] = e.mass, -e.contacts.T

@@ -164,8 +164,8 @@ def _hand_held(under_way: Ride, begin: float, end: float, channels: dict[int, Ar
     begins = begin + (end - begin) / count * np.arange(count, dtype=float)
     kept = np.zeros((5, count, ORDER + 1))
     for channel, polynomial in channels.items():
-        for k in range(count):
-            kept[channel, k, : len(polynomial)] = shifted(polynomial, float(begins[k] - begin))
+        whole = np.broadcast_to(polynomial, (count, len(polynomial)))
+        kept[channel, :, : len(polynomial)] = shifted(whole, begins - begin)
     under_way.starts.append(begins)
     under_way.coefficients.append(kept)
 

@@ -17,19 +17,16 @@ from tms_model.nonlinear import Load
 from tms_model.response import LEAN, LEAN_RATE, STEER, STEER_RATE
 
 from tms_sim.conditions import Conditions, Joint, Strike
-from tms_sim.contact import MARGIN, ROLLING, STILL, Mode
+from tms_sim.contact import ROLLING, STILL, Mode
 from tms_sim.motion import RESPONSE, STRIKE, Event
 from tms_sim.nonlinear_ride import free_ride
 from tms_sim.plant import COPULSE, ONE, PULSE, QUADRATURE, SHIMMY, SIDE, SIZE, SPEEDS, TURN, YAW
 from tms_sim.steps import ORDER, longest_step, series
+from tms_sim.watch import ACROSS, Watch, watch
 
 LONGEST = 0.02  # [s]
-ACROSS = math.pi / 2.0  # [rad] of steer; handlebars that stand across end a ride as a fall does
 SOME_LEFT = 0.05  # of the shimmy's amplitude, when the handlebars are let go
-_BLOCK = 64  # steps computed at once while both wheels roll, and
-_SLIDING_BLOCK = 3  # while one slides
-_LOOKS = np.linspace(0.0, 1.0, 9)
-_CLOSER = np.linspace(0.0, 1.0, 33)
+_BLOCK = 64  # steps computed at once while both wheels roll; a slide begins with one
 _POWERS = np.arange(ORDER + 1)
 _CHANNELS = (LEAN, STEER, YAW, SIDE)
 _MOST_CHANGES = 20000  # of mode in a run
@@ -52,6 +49,8 @@ class Ride:
     stopped: bool = False  # stands still before its speed was to end
     _slides: dict[int, tuple[float, float, float, int]] = field(default_factory=dict)
     _changes: int = 0
+    _most: int = _BLOCK  # steps computed at once
+    _watches: dict[tuple[Mode, bytes], Watch] = field(default_factory=dict)
 
     def strike(self, strike: Strike) -> None:
         """Go through a strike, from its begin to its end."""
@@ -122,18 +121,18 @@ class Ride:
     def _block(self, until: float, rows: Array, rate: float) -> None:
         c = self.conditions
         step = self._step_length(rows, rate)
-        most = _BLOCK if self.mode == ROLLING else _SLIDING_BLOCK
         wanted = max(1, math.ceil((until - self.time) / step - 1e-9))
-        count = min(wanted, most)
+        count = min(wanted, self._most)
         whole = (until - self.time) if wanted == count else count * step
         lengths: Array = np.full(count, whole / count)
         begins: Array = self.time + lengths * np.arange(count)
         speeds: Array = c.launch_speed + c.plant.acceleration * (begins - c.release)
         generators = self._generators(rows, rate, speeds, lengths)
         terms, end = series(generators, lengths, self.state)
-        hit = self._first_look(terms, speeds, lengths, rows)
+        hit = self._watch(rows).first(terms, speeds, c.plant.acceleration, lengths)
         if hit is None:
             self._keep(begins, terms, speeds)
+            self._most = min(2 * self._most, _BLOCK)
             self.time, self.state = (until if wanted == count else self.time + whole), end
             return
         k, inside = hit
@@ -176,60 +175,11 @@ class Ride:
         self.starts.append(begins)
         self.coefficients.append(kept)
 
-    def _first_look(
-        self, terms: Array, speeds: Array, lengths: Array, rows: Array
-    ) -> tuple[int, float] | None:
-        """Step and time in it when something happens first; None: nothing does."""
-        times = lengths[:, None] * _LOOKS
-        happened = np.any(self._margins(terms, speeds, times, rows) > 0.0, axis=0)
-        if not happened.any():
-            return None
-        k = int(np.any(happened, axis=1).argmax())
-        look = int(happened[k].argmax())
-        low, high = times[k, max(look - 1, 0)], times[k, look]
-        while high - low > 1e-12:
-            within = low + (high - low) * _CLOSER
-            margins = self._margins(terms[k : k + 1], speeds[k : k + 1], within[None], rows)
-            found = np.any(margins[:, 0] > 0.0, axis=0)
-            found[-1] = True
-            first = max(int(found.argmax()), 1)
-            if within[first] - within[first - 1] >= high - low:
-                break
-            low, high = within[first - 1], within[first]
-        return k, float(high)
-
-    def _margins(self, terms: Array, speeds: Array, times: Array, rows: Array) -> Array:
-        """By how much each limit is passed (j, k, s) at times (k, s) in k steps; positive: passed."""
-        powers = times[..., None] ** _POWERS  # (k, s, m)
-        states = powers @ terms  # (k, s, SIZE)
-        margins = [np.abs(states[..., LEAN]) - self.lean_limit, np.abs(states[..., STEER]) - ACROSS]
-        contacts = self.conditions.plant.contacts
-        if contacts is not None:
-            slopes = powers[..., :-1] @ (terms[:, 1:] * _POWERS[1:, None])
-            speed = speeds[:, None] + self.conditions.plant.acceleration * times
-            forces, slips = self._contact(states, slopes, speed, rows)
-            for wheel, slides in enumerate(self.mode):
-                if slides:
-                    margins.append(-slides * slips[..., wheel] - 0.5 * STILL)
-                else:
-                    margins.append(np.abs(forces[..., wheel]) / contacts.limits[wheel] - 1.0 - MARGIN)
-        return np.stack(margins)
-
-    def _contact(self, states: Array, slopes: Array, speed: Array, rows: Array) -> tuple[Array, Array]:
-        """Forces (..., 2) [N] and slips (..., 2) [m/s] of states and their rates of change (..., SIZE)."""
-        plant = self.conditions.plant
-        assert plant.contacts is not None
-        e, order = plant.contacts.equations, list(SPEEDS)
-        changes = slopes[..., order]
-        changes[..., 0] += speed * states[..., TURN]
-        needed = changes @ e.mass[:2].T + states[..., order] @ e.damping[:2].T
-        needed += speed[..., None] * (states[..., order] @ e.gyroscopic[:2].T)
-        needed += states[..., :2] @ e.stiffness[:2].T
-        needed -= states[..., PULSE, None] * rows[:2] + plant.moments[:2]
-        front = needed[..., 1] / e.contacts[1, 1]
-        slips = states[..., order] @ e.contacts.T
-        slips[..., 1] -= e.heading * speed * states[..., STEER]
-        return np.stack([needed[..., 0] - front, front], axis=-1), slips
+    def _watch(self, rows: Array) -> Watch:
+        key = (self.mode, rows.tobytes())
+        if key not in self._watches:
+            self._watches[key] = watch(self.conditions.plant, self.mode, self.lean_limit, rows)
+        return self._watches[key]
 
     def _choose_mode(self, rows: Array) -> None:
         plant, state = self.conditions.plant, self.state.copy()
@@ -255,6 +205,7 @@ class Ride:
         for wheel in range(2):
             self._note_slide(wheel, mode[wheel])
         self.mode = mode
+        self._most = _BLOCK if mode == ROLLING else 1
 
     def _note_slide(self, wheel: int, now: int) -> None:
         open_slide = self._slides.get(wheel)

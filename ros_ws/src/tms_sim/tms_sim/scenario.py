@@ -13,7 +13,8 @@ from typing import Any
 
 import yaml
 from tms_model import ParameterError
-from tms_model.catalogue import NOT_YAML, check_keys, read_yaml
+from tms_model.catalogue import check_keys, read_yaml
+from tms_model.yaml_text import NOT_YAML, load_yaml
 
 from tms_sim.keys import KEYS, Value, checked
 
@@ -105,7 +106,7 @@ def parse_change(text: str) -> tuple[str, Any]:
     key, equals, value = text.partition("=")
     try:
         if equals:
-            return key.strip(), yaml.safe_load(value)
+            return key.strip(), load_yaml(value)
     except NOT_YAML:
         pass
     raise ParameterError(f"--set: expected KEY=VALUE, found {text!r}")

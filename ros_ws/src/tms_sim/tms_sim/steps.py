@@ -27,31 +27,40 @@ def series(generators: tuple[Array, Array, Array], lengths: Array, initial: Arra
 
     generators: (k, d, d) each; lengths: (k,) [s]; initial: (d,).
     """
-    constant, linear, square = generators
-    count, size, _ = constant.shape
-    terms = np.empty((ORDER + 1, count, size, size))
-    terms[0] = np.eye(size)
-    has_linear, has_square = bool(linear.any()), bool(square.any())
+    factors = _factors(generators)
+    count, size, wide = factors.shape
+    alone = count == 1  # no matrices then: the state itself
+    # Row by row the c_n, highest n first: c_n, c_(n-1) and c_(n-2) lie together; those below c_0 are 0.
+    terms = np.zeros((count, (ORDER + 3) * size, 1 if alone else size))
+    terms[:, ORDER * size : (ORDER + 1) * size] = initial[:, None] if alone else np.eye(size)
     for n in range(ORDER):
-        term = constant @ terms[n]
-        if has_linear and n >= 1:
-            term += linear @ terms[n - 1]
-        if has_square and n >= 2:
-            term += square @ terms[n - 2]
-        terms[n + 1] = term / (n + 1)
-    whole = terms[ORDER].copy()
-    for n in range(ORDER - 1, -1, -1):
+        row = (ORDER - n) * size
+        higher = terms[:, row - size : row]
+        np.matmul(factors, terms[:, row : row + wide], out=higher)
+        higher /= n + 1
+    terms = terms[:, : (ORDER + 1) * size]
+    whole = terms[:, :size].copy()
+    for row in range(size, (ORDER + 1) * size, size):
         whole *= lengths[:, None, None]
-        whole += terms[n]
+        whole += terms[:, row : row + size]
+    if alone:
+        return terms.reshape(1, ORDER + 1, size)[:, ::-1], whole[0, :, 0]
     states = np.empty((count + 1, size))
     states[0] = initial
     for k in range(count):
         states[k + 1] = whole[k] @ states[k]
-    return np.einsum("nkij,kj->kni", terms, states[:-1]), states[-1]
+    found = terms @ states[:-1, :, None]
+    return found.reshape(count, ORDER + 1, size)[:, ::-1], states[-1]
 
 
-def shifted(coefficients: Array, by: float) -> Array:
-    """The same polynomials (..., m) about a later instant."""
+def _factors(generators: tuple[Array, Array, Array]) -> Array:
+    """G0, G1, G2 side by side (k, d, d to 3 d), without those that are zero throughout."""
+    needed = 3 if generators[2].any() else 2 if generators[1].any() else 1
+    return np.concatenate(generators[:needed], axis=2)
+
+
+def shifted(coefficients: Array, by: Array | float) -> Array:
+    """The same polynomials (..., m) about a later instant; by: one for all, or (...)."""
     moved = coefficients.copy()
     size = coefficients.shape[-1]
     for low in range(size - 1):

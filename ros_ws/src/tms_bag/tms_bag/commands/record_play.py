@@ -11,8 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
-from tms_model.catalogue import NOT_YAML
+from tms_model.yaml_text import NOT_YAML, load_yaml
 
 from tms_bag.errors import RecordingError
 from tms_bag.reading.reader import BagReader
@@ -100,7 +99,7 @@ def play(arguments: argparse.Namespace) -> None:
 def qos_overrides(path: Path) -> dict[str, object]:
     """ROS parameters out of rosbag2's YAML file of overrides. RecordingError if it isn't one."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, *NOT_YAML) as error:
         raise RecordingError(
             f"{path}: can't be read as YAML ({' '.join(str(error).split())[:200]})"
