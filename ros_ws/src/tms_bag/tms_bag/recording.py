@@ -15,6 +15,7 @@ from tms_bag.reading.definitions import message_of
 from tms_bag.reading.reader import BagReader
 from tms_bag.samples import (
     ImuSamples,
+    Joining,
     LeanYawSamples,
     RunInfo,
     Samples,
@@ -22,7 +23,6 @@ from tms_bag.samples import (
     StateSamples,
     SteerTorqueSamples,
     in_time_order,
-    joined,
 )
 
 _DECODERS: dict[str, Callable[[Columns], Any]] = {
@@ -145,13 +145,16 @@ def _samples_of(bag: BagReader, names: dict[str, str]) -> dict[str, tuple[Any, i
 
     `names` says which topic a name in the bag stands for.
     """
-    parts: dict[str, list[Any]] = {topic: [] for topic in names.values()}
-    for part in bag.parts({name: conversion.FIELDS[topic] for name, topic in names.items()}):
-        topic = names[part.topic]
-        parts[topic].append(_DECODERS[topic](part))
-    return {
-        topic: _in_order(bag, name, joined(parts.pop(topic))) for name, topic in names.items() if parts[topic]
-    }
+    wanted = {name: conversion.FIELDS[topic] for name, topic in names.items()}
+    joining: dict[str, Joining[Any]] = {name: Joining(bag.expected(name)) for name in names}
+    for part in bag.parts(wanted):
+        joining[part.topic].add(_DECODERS[names[part.topic]](part))
+    found = {}
+    for name, topic in names.items():
+        whole = joining.pop(name).whole()
+        if whole is not None:
+            found[topic] = _in_order(bag, name, whole)
+    return found
 
 
 def _in_order(bag: BagReader, name: str, samples: Samples) -> tuple[Samples, int]:

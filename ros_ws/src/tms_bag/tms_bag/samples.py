@@ -9,12 +9,13 @@ holds.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tms_bag.growing import Growing, Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -178,33 +179,36 @@ def selected(samples: Samples, rows: IntArray | NDArray[np.bool_] | slice) -> Sa
     return dataclasses.replace(samples, **arrays)
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
+class Joining(Generic[Samples]):
     """Samples of several stretches of one recording, one after the other; what is per run is the first's.
 
-    Memory: at most twice the samples, since `parts` aren't needed any more once their arrays are joined.
+    Each part is copied to its place and not kept: memory is that of the whole, and of one part.
     """
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    arrays: dict[str, Any] = {
-        entry.name: _joined_arrays(parts, entry.name)
-        for entry in dataclasses.fields(first)
-        if entry.name not in _PER_RUN
-        and any(isinstance(getattr(part, entry.name), np.ndarray) for part in parts)
-    }
-    return dataclasses.replace(first, **arrays)
 
+    def __init__(self, expected: int) -> None:
+        self._expected = expected  # samples to make room for at once; more when more come
+        self._first: Samples | None = None
+        self._arrays: dict[str, Growing] = {}
+        self._count = 0
 
-def _joined_arrays(parts: Sequence[Any], name: str) -> NDArray[Any]:
-    """One array of all parts; NaN for those that have none."""
-    values = [getattr(part, name) for part in parts]
-    width = next(value for value in values if value is not None).shape[1:]
-    return np.concatenate(
-        [
-            np.full((part.time_ns.size, *width), np.nan) if value is None else value
-            for part, value in zip(parts, values, strict=True)
-        ]
-    )
+    def add(self, part: Samples) -> None:
+        """The next stretch. A quantity that only some of the stretches have is NaN in the others."""
+        self._first = part if self._first is None else self._first
+        for entry in dataclasses.fields(part):
+            values = getattr(part, entry.name)
+            if entry.name in _PER_RUN or not isinstance(values, np.ndarray):
+                continue
+            if entry.name not in self._arrays:
+                self._arrays[entry.name] = Growing(values.dtype, values.shape[1:], self._expected)
+            self._arrays[entry.name].put(Rows(self._count, part.time_ns.size), values)
+        self._count += part.time_ns.size
+
+    def whole(self) -> Samples | None:
+        """All of them; None without a part."""
+        if self._first is None:
+            return None
+        arrays: dict[str, Any] = {name: array.whole(self._count) for name, array in self._arrays.items()}
+        return dataclasses.replace(self._first, **arrays)
 
 
 def in_time_order(samples: Samples) -> tuple[Samples, int]:

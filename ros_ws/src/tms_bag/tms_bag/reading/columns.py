@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_bag.errors import RecordingError
+from tms_bag.growing import Growing, Rows
 from tms_bag.reading.block import Block, at_places
 from tms_bag.reading.layout import Fields, Layout, LayoutError, layout_of
 from tms_bag.samples import IntArray
@@ -75,9 +76,9 @@ class Collector:
 
     def _begin(self) -> None:
         self._log_time, self._publish_time, self._stamp = (
-            _Growing(np.dtype(np.int64), (), self._expected) for _ in range(3)
+            Growing(np.dtype(np.int64), (), self._expected) for _ in range(3)
         )
-        self._values: dict[str, _Growing] = {}
+        self._values: dict[str, Growing] = {}
         self._texts: dict[str, dict[bytes, None]] = {}
         self._count = 0
 
@@ -89,7 +90,7 @@ class Collector:
         """Messages of a block. RecordingError if one isn't of the topic's type."""
         if not rows.size:
             return
-        whole = _Rows(self._count, rows.size, None)
+        whole = Rows(self._count, rows.size)
         self._log_time.put(whole, np.minimum(block.log_time[rows], _LAST_NS))
         self._publish_time.put(whole, np.minimum(block.publish_time[rows], _LAST_NS))
         start, size = block.start[rows], block.size[rows]
@@ -103,7 +104,7 @@ class Collector:
                 block.content,
                 start[waiting[same]],
                 shape.layout,
-                _Rows(self._count, rows.size, members),
+                Rows(self._count, rows.size, members),
             )
             waiting = waiting[~same]
         self._count += rows.size
@@ -113,7 +114,7 @@ class Collector:
         log_time = self._log_time.whole(self._count)
         order = None if (log_time[1:] >= log_time[:-1]).all() else np.argsort(log_time, kind="stable")
 
-        def finished(growing: _Growing) -> Column:
+        def finished(growing: Growing) -> Column:
             values = growing.whole(self._count)
             return values if order is None else values[order]
 
@@ -154,7 +155,7 @@ class Collector:
         self._shapes.insert(0, shape)
         return shape
 
-    def _keep(self, content: bytes, start: IntArray, layout: Layout, rows: _Rows) -> None:
+    def _keep(self, content: bytes, start: IntArray, layout: Layout, rows: Rows) -> None:
         table = at_places(content, start, layout.columns())
         if _SEC in layout.names and _NANOSEC in layout.names:
             self._stamp.put(rows, table[_SEC].astype(np.int64) * 10**9 + table[_NANOSEC])
@@ -166,7 +167,7 @@ class Collector:
                 values = values.view(np.uint8) != 0
             if name not in self._values:
                 kind = values.dtype.newbyteorder("=")
-                self._values[name] = _Growing(kind, values.shape[1:], self._expected)
+                self._values[name] = Growing(kind, values.shape[1:], self._expected)
             if self._values[name].shape != values.shape[1:]:
                 raise RecordingError(
                     f"{self.topic}: expected {name} of the same length in all messages, found"
@@ -218,49 +219,3 @@ def _shape_of(data: bytes, fields: Fields, type_name: str) -> _Shape:
         for place, kind in places
     )
     return _Shape(fields, layout, signs)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Where values belong: rows `members` of the `count` rows from `first` on; None: all of them."""
-
-    first: int
-    count: int
-    members: IntArray | None
-
-
-class _Growing:
-    """An array with room for more. Rows that nothing was put into are NaN, or 0 where there is no NaN."""
-
-    def __init__(self, kind: np.dtype[Any], shape: tuple[int, ...], room: int) -> None:
-        self.shape = shape
-        self.used = 0  # rows that hold something, or the sign of absence
-        self._array: Column = np.empty((room, *shape), kind)
-
-    def put(self, rows: _Rows, values: Column) -> None:
-        """Values (m,) or (m, k) at the rows."""
-        end = rows.first + rows.count
-        if end > len(self._array):
-            larger = np.empty((max(end, 2 * len(self._array)), *self.shape), self._array.dtype)
-            larger[: self.used] = self._array[: self.used]
-            self._array = larger
-        if rows.members is None:
-            self._fill(rows.first)
-            self._array[rows.first : end] = values
-            self.used = end
-        else:
-            self._fill(end)
-            self._array[rows.first + rows.members] = values
-
-    def whole(self, count: int) -> Column:
-        """The first `count` rows, without the room behind them."""
-        if count > len(self._array):
-            self.put(_Rows(count, 0, None), np.empty((0, *self.shape)))
-        self._fill(count)
-        array = self._array[:count]
-        return array if 2 * count > len(self._array) else array.copy()
-
-    def _fill(self, end: int) -> None:
-        if end > self.used:
-            self._array[self.used : end] = np.nan if self._array.dtype.kind == "f" else 0
-            self.used = end

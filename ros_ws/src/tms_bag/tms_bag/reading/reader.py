@@ -188,7 +188,7 @@ class BagReader:
         self._check_topics(topics)
         found = {}
         for name, fields in topics.items():
-            expected = min(self._expected(name), PART if in_parts else 2**63)
+            expected = min(self.expected(name), PART if in_parts else 2**63)
             found[name] = Collector(name, self._type_of(name), fields, expected)
         return found
 
@@ -226,7 +226,7 @@ class BagReader:
             )
         return types[0] if types else next(topic.type for topic in self.topics if topic.name == name)
 
-    def _expected(self, name: str) -> int:
+    def expected(self, name: str) -> int:
         """Messages to make room for at once: not more than a file of this size is likely to hold."""
         size = sum(file.size for file in self._files)
         return min(sum(topic.count for topic in self.topics if topic.name == name), size // 16)
