@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tms_bag import RecordingError, conversion, topics
 from tms_bag.messages import _store, deserialize, message_type, serialize
-from tms_bag.reading.tables import MessageError, new_table, read_row, read_table, rows, stamps
+from tms_bag.reading.one_message import read_numbers, write_numbers
+from tms_bag.reading.tables import MessageError, new_table, read_table, rows, stamps
 from tms_bag.samples import ImuSamples
 
 TYPES = [
@@ -129,17 +130,27 @@ def test_types_with_texts_have_no_table(type_name):
 
 
 @pytest.mark.parametrize("type_name", TYPES)
-def test_one_message_alone_is_read_as_among_others(type_name: str) -> None:
+def test_one_message_alone_is_read_and_written_as_among_others(type_name: str) -> None:
     rng = np.random.default_rng(1)
     for frame in FRAMES:
         data = serialize(random_message(type_name, rng, frame))
         table, _ = read_table(type_name, [data])
-        assert read_row(type_name, data).tobytes() == table[0].tobytes()
+        names = tuple(name for name in table.dtype.names or () if not name.startswith("stamp."))
+        stamp, *numbers = read_numbers(type_name, names, data)
+        expected = [value for name in names for value in np.ravel(table[name][0]).tolist()]
+        assert stamp == stamps(table)[0]
+        np.testing.assert_array_equal(numbers, expected)
+        assert read_numbers(type_name, names[-1:], data)[1:] == tuple(
+            numbers[-np.size(table[names[-1]][0]) :]
+        )
+        assert write_numbers(type_name, names, frame, stamp, numbers) == data
         for wrong in (data[:-4], data[:8], b"", data + b"\x00" * 4, b"\x01" + data[1:]):
             with pytest.raises(
                 MessageError, match=f"expected a {type_name} message, found {len(wrong)} bytes"
             ):
-                read_row(type_name, wrong)
+                read_numbers(type_name, names, wrong)
+        with pytest.raises(TypeError, match="expected the numbers"):
+            write_numbers(type_name, names[1:], frame, stamp, numbers)
 
 
 def test_a_reading_alone_is_read_as_a_stream_is() -> None:

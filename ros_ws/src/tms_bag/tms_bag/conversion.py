@@ -19,7 +19,8 @@ from tms_bag import topics
 from tms_bag.errors import RecordingError
 from tms_bag.messages import deserialize, message_type, serialize
 from tms_bag.reading.columns import FRAME_ID, Columns
-from tms_bag.reading.tables import MessageError, Table, new_table, read_row, read_table, rows, stamps
+from tms_bag.reading.one_message import read_numbers
+from tms_bag.reading.tables import MessageError, Table, new_table, read_table, rows, stamps
 from tms_bag.record import Record
 from tms_bag.samples import (
     FloatArray,
@@ -49,7 +50,7 @@ _RUN_INFO: dict[str, object] = {
     "bicycle": "", "speed": 0.0, "simulated": False, "seed": 0, "source": "", "version": "",
     "source_sha256": "", "configuration": "",
 }  # fmt: skip
-_RATES = tuple(f"angular_velocity.{axis}" for axis in "xyz")
+_GYROSCOPES = (*(f"angular_velocity.{axis}" for axis in "xyz"), "angular_velocity_covariance")
 _COVARIANCES = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
 
 # What of each topic's messages becomes samples: the rest need not be read.
@@ -115,14 +116,11 @@ def imu_samples(messages: Messages) -> ImuSamples:
 
 def imu_reading(record: Record) -> tuple[int, FloatArray, FloatArray]:
     """Stamp [ns], angular velocity (3,) and its variance (3,) of one message, as `imu_samples` has them."""
-    try:
-        row = read_row(topics.TYPES[topics.IMU], record.data)
-    except MessageError as error:
-        raise RecordingError(f"{record.topic} at {record.time_ns} ns: {error}") from error
-    covariance = row["angular_velocity_covariance"].tolist()
-    rates = [math.nan] * 3 if covariance[0] == -1.0 else [row[name] for name in _RATES]
-    variance = [value if value > 0.0 else math.nan for value in covariance[::4]]
-    return int(row["stamp.sec"]) * 10**9 + int(row["stamp.nanosec"]), np.array(rates), np.array(variance)
+    time_ns, *numbers = _reading(topics.IMU, _GYROSCOPES, record)
+    absent = numbers[3] == -1.0  # REP-145
+    rates = [math.nan] * 3 if absent else numbers[:3]
+    variance = [value if value > 0.0 else math.nan for value in numbers[3::4]]
+    return time_ns, np.array(rates), np.array(variance)
 
 
 def magnetic_records(samples: MagneticSamples) -> Iterator[Record]:
@@ -163,6 +161,12 @@ def lean_yaw_samples(messages: Messages) -> LeanYawSamples:
     return LeanYawSamples(table.time_ns, lean, lean_rate, yaw_rate, _flags(table, "saturation"))
 
 
+def saturation_reading(record: Record) -> tuple[int, int]:
+    """Stamp [ns] and flags of one tms_msgs/LeanYaw, as `lean_yaw_samples` has them."""
+    time_ns, flags = _reading(topics.LEAN_YAW, ("saturation",), record)
+    return time_ns, flags
+
+
 def speed_records(samples: SpeedSamples) -> Iterator[Record]:
     """geometry_msgs/TwistStamped in rear_frame on /bicycle/speed: x forward, the rest 0."""
     table = _table(topics.SPEED, samples.time_ns, REAR_FRAME)
@@ -174,6 +178,12 @@ def speed_samples(messages: Messages) -> SpeedSamples:
     """Forward speed."""
     table = _read(topics.SPEED, messages)
     return SpeedSamples(table.time_ns, _column(table, "twist.linear.x"))
+
+
+def speed_reading(record: Record) -> tuple[int, float]:
+    """Stamp [ns] and forward speed of one message, as `speed_samples` has them."""
+    time_ns, speed = _reading(topics.SPEED, FIELDS[topics.SPEED], record)
+    return time_ns, speed
 
 
 def speed_covariance_records(samples: SpeedSamples) -> Iterator[Record]:
@@ -203,6 +213,12 @@ def steer_torque_samples(messages: Messages) -> SteerTorqueSamples:
     """Known steer torque."""
     table = _read(topics.STEER_TORQUE, messages)
     return SteerTorqueSamples(table.time_ns, _column(table, "steer_torque"))
+
+
+def steer_torque_reading(record: Record) -> tuple[int, float]:
+    """Stamp [ns] and known steer torque of one message, as `steer_torque_samples` has them."""
+    time_ns, torque = _reading(topics.STEER_TORQUE, FIELDS[topics.STEER_TORQUE], record)
+    return time_ns, torque
 
 
 def state_records(samples: StateSamples) -> Iterator[Record]:
@@ -295,6 +311,14 @@ def _records(topic: str, time_ns: IntArray, table: Table) -> Iterator[Record]:
     return (
         Record(name, kind, time, data, time) for time, data in zip(time_ns.tolist(), rows(table), strict=True)
     )
+
+
+def _reading(topic: str, names: tuple[str, ...], record: Record) -> tuple[Any, ...]:
+    """Stamp [ns] and some numbers of one message. RecordingError if it isn't one of this topic's."""
+    try:
+        return read_numbers(topics.TYPES[topic], names, record.data)
+    except MessageError as error:
+        raise RecordingError(f"{record.topic} at {record.time_ns} ns: {error}") from error
 
 
 def _read(topic: str, messages: Messages) -> Columns:

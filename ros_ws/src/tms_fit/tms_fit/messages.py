@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from tms_bag.conversion import REAR_FRAME
 from tms_bag.messages import message_type, serialize
+from tms_bag.reading.one_message import write_numbers
 from tms_bag.record import Record
 
 from tms_fit.estimate import Estimate
@@ -14,6 +16,9 @@ from tms_fit.strike_fit import StrikeFit
 
 ESTIMATE, ESTIMATE_TYPE = "estimate", "tms_msgs/msg/Estimate"
 FILTER_STATE, FILTER_STATE_TYPE = "filter_state", "tms_msgs/msg/FilterState"
+_FILTER_STATE = (
+    "state", "covariance", "innovation", "innovation_covariance", "nis", "channel_count", "reset", "speed",
+)  # fmt: skip
 
 
 def estimate_records(fit: StrikeFit) -> list[Record]:
@@ -26,18 +31,18 @@ def estimate_records(fit: StrikeFit) -> list[Record]:
 
 def filter_state_record(step: FilterStep) -> Record:
     """A record on the topic `filter_state`."""
-    message = message_type(FILTER_STATE_TYPE)(
-        header=_header(step.time_ns),
-        state=step.state,
-        covariance=step.covariance.ravel(),
-        innovation=step.innovation,
-        innovation_covariance=step.innovation_covariance.ravel(),
-        nis=step.nis,
-        channel_count=step.channel_count,
-        reset=step.reset,
-        speed=step.speed,
+    numbers = (
+        *step.state.tolist(),
+        *step.covariance.ravel().tolist(),
+        *step.innovation.tolist(),
+        *step.innovation_covariance.ravel().tolist(),
+        step.nis,
+        step.channel_count,
+        step.reset,
+        step.speed,
     )
-    return Record(f"/{FILTER_STATE}", FILTER_STATE_TYPE, step.time_ns, serialize(message))
+    data = write_numbers(FILTER_STATE_TYPE, _FILTER_STATE, REAR_FRAME, step.time_ns, numbers)
+    return Record(f"/{FILTER_STATE}", FILTER_STATE_TYPE, step.time_ns, data)
 
 
 def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
@@ -80,4 +85,4 @@ def _time(time_ns: int) -> Any:
 
 
 def _header(time_ns: int) -> Any:
-    return message_type("std_msgs/msg/Header")(stamp=_time(time_ns), frame_id="rear_frame")
+    return message_type("std_msgs/msg/Header")(stamp=_time(time_ns), frame_id=REAR_FRAME)

@@ -20,7 +20,7 @@ from tms_bag.samples import IntArray
 
 Table = NDArray[np.void]  # structured; columns are called as in the message, for example angular_velocity.x
 
-_LENGTH, _TEXT = 12, 16  # [bytes] where the length of the header's text and the text stand
+LENGTH_PLACE, TEXT_PLACE = 12, 16  # [bytes] where the length of the header's text and the text stand
 
 
 class MessageError(RecordingError):
@@ -37,11 +37,11 @@ class MessageError(RecordingError):
 def new_table(type_name: str, time_ns: IntArray, frame_id: str) -> Table:
     """Table of messages with these stamps (n,) [ns] and this frame, all other numbers 0."""
     text = frame_id.encode() + b"\x00"
-    table: Table = np.zeros(time_ns.size, _layout(type_name, len(text), "<", padded=True))
+    table: Table = np.zeros(time_ns.size, fixed_layout(type_name, len(text), "<", padded=True))
     raw = table.view(np.uint8).reshape(time_ns.size, table.itemsize)
     raw[:, 1] = 1  # little endian
-    raw[:, _LENGTH:_TEXT] = np.frombuffer(len(text).to_bytes(4, "little"), np.uint8)
-    raw[:, _TEXT : _TEXT + len(text)] = np.frombuffer(text, np.uint8)
+    raw[:, LENGTH_PLACE:TEXT_PLACE] = np.frombuffer(len(text).to_bytes(4, "little"), np.uint8)
+    raw[:, TEXT_PLACE : TEXT_PLACE + len(text)] = np.frombuffer(text, np.uint8)
     table["stamp.sec"], table["stamp.nanosec"] = np.divmod(time_ns, 10**9)
     return table
 
@@ -59,12 +59,14 @@ def read_table(type_name: str, messages: Sequence[bytes]) -> tuple[Table, list[s
     """
     groups: dict[bytes, list[int]] = {}
     for row, data in enumerate(messages):
-        end = _TEXT + int.from_bytes(data[_LENGTH:_TEXT], "little" if data[1:2] == b"\x01" else "big")
-        groups.setdefault(data[:2] + data[_LENGTH : min(end, len(data))], []).append(row)
+        end = TEXT_PLACE + int.from_bytes(
+            data[LENGTH_PLACE:TEXT_PLACE], "little" if data[1:2] == b"\x01" else "big"
+        )
+        groups.setdefault(data[:2] + data[LENGTH_PLACE : min(end, len(data))], []).append(row)
     if len(groups) == 1:
         table, frame = _read_group(type_name, next(iter(groups)), messages, range(len(messages)))
         return table, [frame] * len(messages)
-    table = np.zeros(len(messages), _layout(type_name, 1, "<", padded=False))
+    table = np.zeros(len(messages), fixed_layout(type_name, 1, "<", padded=False))
     frames = [""] * len(messages)
     for head, members in groups.items():
         part, frame = _read_group(type_name, head, [messages[row] for row in members], members)
@@ -73,16 +75,6 @@ def read_table(type_name: str, messages: Sequence[bytes]) -> tuple[Table, list[s
         for row in members:
             frames[row] = frame
     return table, frames
-
-
-def read_row(type_name: str, data: bytes) -> np.void:
-    """One message as `read_table` reads it, in a fraction of the time: for a live stream."""
-    end = _TEXT + int.from_bytes(data[_LENGTH:_TEXT], "little" if data[1:2] == b"\x01" else "big")
-    layout = _row_layout(type_name, data[:2], data[_TEXT : min(end, len(data))])
-    if layout is None or not layout.itemsize <= len(data) <= layout.itemsize + 3:
-        raise MessageError(type_name, 0, len(data))
-    row: np.void = np.frombuffer(data, layout, count=1)[0]
-    return row
 
 
 def stamps(table: Table) -> IntArray:
@@ -94,8 +86,8 @@ def _read_group(
     type_name: str, head: bytes, messages: Sequence[bytes], members: Sequence[int]
 ) -> tuple[Table, str]:
     """Messages with the same encapsulation and frame; `members` are their rows."""
-    order, text = ENCAPSULATION.get(head[:2], ""), head[2 + _TEXT - _LENGTH :]
-    layout = _layout(type_name, len(text), order or "<", padded=False)
+    order, text = ENCAPSULATION.get(head[:2], ""), head[2 + TEXT_PLACE - LENGTH_PLACE :]
+    layout = fixed_layout(type_name, len(text), order or "<", padded=False)
     readable = order and text[-1:] in (b"\x00", b"")
     for row, data in zip(members, messages, strict=True):
         if not (readable and layout.itemsize <= len(data) <= layout.itemsize + 3):
@@ -105,19 +97,13 @@ def _read_group(
 
 
 @lru_cache(maxsize=256)
-def _row_layout(type_name: str, encapsulation: bytes, text: bytes) -> np.dtype[np.void] | None:
-    """Layout of messages that begin so; None: they aren't messages."""
-    order = ENCAPSULATION.get(encapsulation, "")
-    if not (order and text[-1:] in (b"\x00", b"")):
-        return None
-    return _layout(type_name, len(text), order, padded=False)
+def fixed_layout(type_name: str, text_length: int, order: str, padded: bool) -> np.dtype[np.void]:
+    """Where each number stands in a message whose frame_id has this length, its final zero counted.
 
-
-@lru_cache(maxsize=256)
-def _layout(type_name: str, text_length: int, order: str, padded: bool) -> np.dtype[np.void]:
-    """Where each number stands in a message whose frame_id has this length, its final zero counted."""
+    TypeError for a type with other texts, or with sequences.
+    """
     found = arranged(all_fields(type_name), type_name, order, lambda place: text_length, 2**16)
-    if found.lengths != (_LENGTH,) or "header.frame_id" not in found.texts:
+    if found.lengths != (LENGTH_PLACE,) or "header.frame_id" not in found.texts:
         raise TypeError(f"{type_name} has no fixed size")
     short = replace(found, names=tuple(name.removeprefix("header.") for name in found.names))
     return short.columns(itemsize=found.size + -found.size % 4 if padded else 0)

@@ -146,11 +146,9 @@ class LiveFit:
             if topic == topics.IMU:
                 self._add_imu(record)
             elif topic == topics.SPEED:
-                speed = conversion.speed_samples([record])
-                self._online.add_speed(int(speed.time_ns[0]), float(speed.speed[0]))
+                self._online.add_speed(*conversion.speed_reading(record))
             else:
-                torque = conversion.steer_torque_samples([record])
-                self._online.add_steer_torque(int(torque.time_ns[0]), float(torque.steer_torque[0]))
+                self._online.add_steer_torque(*conversion.steer_torque_reading(record))
         except RecordingError:
             self.counts["unreadable"] += 1
 

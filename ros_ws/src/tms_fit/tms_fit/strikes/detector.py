@@ -21,6 +21,7 @@ extremum of the lean rate, or where its level is first reached when it then stay
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import deque
 
 import numpy as np
@@ -41,11 +42,12 @@ class StrikeDetector:
         self._settings = settings or StrikeSettings()
         self._raw: deque[tuple[int, float]] = deque()  # samples [ns], [rad/s]
         self._bin: list[tuple[int, float]] = []  # samples of the bin that is open
-        self._time: deque[int] = deque()  # [ns] bins
-        self._rate: deque[float] = deque()  # [rad/s] bins
-        self._mean: deque[float] = deque()  # [rad/s] running means
-        self._memory: deque[float] = deque()  # fading memory of swings, after each bin
-        self._kinks: deque[float] = deque()  # [rad/s]
+        # Lists, since places in them are found by halving; as long as twice what is kept, see _append.
+        self._time: list[int] = []  # [ns] bins
+        self._rate: list[float] = []  # [rad/s] bins
+        self._mean: list[float] = []  # [rad/s] running means
+        self._memory: list[float] = []  # fading memory of swings, after each bin
+        self._kinks: list[float] = []  # [rad/s]
         self._swung: tuple[int, float] | None = None  # when [ns] a swing raised suspicion, needed [rad/s]
         self._kinked: tuple[int, float] | None = None  # the same for a kink
         self._last: deque[Strike] = deque(maxlen=2)
@@ -96,12 +98,9 @@ class StrikeDetector:
         time_ns = first + sum(when - first for when, _ in self._bin) // count
         rate = sum(value for _, value in self._bin) / count
         self._bin.clear()
-        values = [rate]
-        for when, value in self._latest_first(self._rate):
-            if when <= time_ns - MEAN:
-                break
-            values.append(value)
-        mean = sum(values) / len(values)
+        recent = self._rate[bisect_right(self._time, time_ns - MEAN) :]
+        recent.reverse()
+        mean = sum(recent, rate) / (len(recent) + 1)
         swing, earlier = self._swing(time_ns, mean), self._earlier_memory(time_ns)
         kink = self._kink(time_ns, mean)
         self._append(time_ns, rate, mean, swing, kink)
@@ -119,56 +118,48 @@ class StrikeDetector:
             if swing > noise:
                 self._swung = (time_ns, max(least, earlier, noise))
 
-    def _latest_first(self, values: deque[float]) -> zip[tuple[int, float]]:
-        return zip(reversed(self._time), reversed(values), strict=True)
-
     def _swing(self, time_ns: int, mean: float) -> float:
         """Largest change from any mean of the last `rise` seconds to this one."""
-        since = time_ns - self._settings.rise * NANOSECONDS
-        least = most = mean
-        for when, earlier in zip(reversed(self._time), reversed(self._mean), strict=True):
-            if when < since:
-                break
-            if earlier < least:
-                least = earlier
-            elif earlier > most:
-                most = earlier
-        return max(mean - least, most - mean)
+        since = bisect_left(self._time, time_ns - self._settings.rise * NANOSECONDS)
+        earlier = self._mean[since:]
+        return max(mean - min(earlier), max(earlier) - mean, 0.0) if earlier else 0.0
 
     def _kink(self, time_ns: int, mean: float) -> float:
         """The mean now less what the two means of the 100 ms before it lead to."""
-        found: list[float] = []
-        for when, value in self._latest_first(self._mean):
-            if when <= time_ns - MEAN * (len(found) + 1) + 1_000_000:  # stamps jitter
-                found.append(value)
-                if len(found) == 2:
-                    return mean - 2.0 * found[0] + found[1]
-        return 0.0
+        jitter = 1_000_000  # [ns] of stamps
+        one = bisect_right(self._time, time_ns - MEAN + jitter) - 1
+        other = bisect_right(self._time, time_ns - 2 * MEAN + jitter, 0, max(one, 0)) - 1
+        return mean - 2.0 * self._mean[one] + self._mean[other] if other >= 0 else 0.0
 
     def _earlier_memory(self, time_ns: int) -> float:
         """Memory of the swings as it stood before the present change can have begun, faded until now."""
-        since = time_ns - self._settings.rise * NANOSECONDS
-        for when, memory in self._latest_first(self._memory):
-            if when < since:
-                return memory * math.exp(-(time_ns - when) / NANOSECONDS / self._settings.memory)
-        return 0.0
+        row = bisect_left(self._time, time_ns - self._settings.rise * NANOSECONDS) - 1
+        if row < 0:
+            return 0.0
+        age = (time_ns - self._time[row]) / NANOSECONDS
+        return self._memory[row] * math.exp(-age / self._settings.memory)
 
     def _append(self, time_ns: int, rate: float, mean: float, swing: float, kink: float) -> None:
         if self._time:
             fade = math.exp(-(time_ns - self._time[-1]) / NANOSECONDS / self._settings.memory)
             swing = max(swing, self._memory[-1] * fade)
-        series = (self._rate, self._mean, self._memory, self._kinks)
         self._time.append(time_ns)
-        for one, value in zip(series, (rate, mean, swing, kink), strict=True):
-            one.append(value)
-        while self._time[-1] - self._time[0] > KEPT:
-            self._time.popleft()
-            for one in series:
-                one.popleft()
+        self._rate.append(rate)
+        self._mean.append(mean)
+        self._memory.append(swing)
+        self._kinks.append(kink)
+        if time_ns - self._time[0] > 2 * KEPT:  # seldom, since all that stays is moved
+            old = self._first_kept()
+            for series in (self._time, self._rate, self._mean, self._memory, self._kinks):
+                del series[:old]
+
+    def _first_kept(self) -> int:
+        """Row of the first bin that a change is judged by."""
+        return bisect_left(self._time, self._time[-1] - KEPT)
 
     def _usual_kink(self) -> float:
         """Six times the standard deviation of the kinks, from their median size."""
-        return MANY_TIMES * 1.4826 * float(np.median(np.abs(np.array(self._kinks))))
+        return MANY_TIMES * 1.4826 * float(np.median(np.abs(np.array(self._kinks[self._first_kept() :]))))
 
     def _noise_of_means(self) -> float:
         """Standard deviation of the running means: a kink of white noise has six times their variance."""
@@ -191,12 +182,13 @@ class StrikeDetector:
         return strike
 
     def _stretch(self) -> Stretch:
+        first = self._first_kept()
         return Stretch(
             time=np.array([when for when, _ in self._raw], dtype=np.int64),
             rate=np.array([rate for _, rate in self._raw]),
-            bin_time=np.array(self._time, dtype=np.int64),
-            bin_rate=np.array(self._rate),
-            bin_mean=np.array(self._mean),
-            kink=np.array(self._kinks),
+            bin_time=np.array(self._time[first:], dtype=np.int64),
+            bin_rate=np.array(self._rate[first:]),
+            bin_mean=np.array(self._mean[first:]),
+            kink=np.array(self._kinks[first:]),
             last=self._last[-1] if self._last else None,
         )
