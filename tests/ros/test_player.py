@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from builtin_interfaces.msg import Time
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Empty, Trigger
@@ -71,6 +72,24 @@ def test_one_that_plays_takes_no_steps(nodes: Any, participant: Any, bag: Path) 
     call(participant, Empty, "resume")
     assert not call(participant, Trigger, "is_paused").success
     nodes.stop(player)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        ["loop:=true"],
+        ["start_paused:=true"],
+        ["wait_for_subscriptions:=1000", "wait_timeout:=1000.0"],
+        ["lossless:=true", "wait_timeout:=1000.0"],
+    ],
+)
+def test_stop_ends_it_whatever_it_waits_for(
+    nodes: Any, participant: Any, bag: Path, parameters: list[str]
+) -> None:
+    player = start(nodes, bag, *parameters)
+    participant.client(Empty, "/player/stop").call_async(Empty.Request())
+    nodes.finish(player)
+    assert "Traceback" not in nodes.log("player").read_text()
 
 
 def test_a_part_of_the_bag_by_other_names_and_quality(

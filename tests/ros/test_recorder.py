@@ -172,6 +172,21 @@ def test_pause_resume_and_split_are_services(
         assert first.message_count == 10
 
 
+def test_stop_ends_it_with_all_that_was_sent_before(
+    nodes: Any, participant: Any, tmp_path: Path, record: Any
+) -> None:
+    recorder = record("-p", "topics:=[/n]")
+    publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
+    heard(participant, publisher)
+    stop = participant.client(Empty, "/recorder/stop")
+    send(publisher, range(10))
+    stop.call_async(Empty.Request())
+    nodes.finish(recorder)
+    assert numbers(tmp_path / "bag") == list(range(10))
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.complete
+
+
 def test_a_snapshot_is_what_came_last(nodes: Any, participant: Any, tmp_path: Path, record: Any) -> None:
     recorder = record("-p", "topics:=[/n]", "-p", "snapshot:=60.0")
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)

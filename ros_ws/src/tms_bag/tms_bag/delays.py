@@ -21,6 +21,14 @@ class Delays:
         self._counts[math.ceil(math.log10(max(delay, LEAST)) / STEP)] += 1
         self.largest = max(self.largest, delay)
 
+    def figures(self) -> dict[str, str]:
+        """Median, 99 % and largest delay as texts, by name."""
+        return {
+            "median delay [s]": f"{self.quantile(0.5):.6f}",
+            "99 % delay [s]": f"{self.quantile(0.99):.6f}",
+            "largest delay [s]": f"{self.largest:.4f}",
+        }
+
     def quantile(self, share: float) -> float:
         """Delay [s] that a share of the messages did not exceed; 0 without messages."""
         wanted, seen = share * sum(self._counts.values()), 0

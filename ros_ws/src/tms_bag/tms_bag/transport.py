@@ -7,6 +7,10 @@ from collections.abc import Callable
 from threading import Condition
 
 
+class StoppedError(Exception):
+    """Playing was to end: raised in whoever waits for something else."""
+
+
 class Transport:
     """The bag's time as a function of real time; methods may be called from several threads."""
 
@@ -16,6 +20,7 @@ class Transport:
         self._rate, self._paused = rate, paused
         self._steps = 0  # messages to publish while paused
         self._target: int | None = None  # where to go on [ns]
+        self._stopped = False
 
     @property
     def rate(self) -> float:
@@ -26,6 +31,11 @@ class Transport:
     def paused(self) -> bool:
         """Whether the bag's time stands still."""
         return self._paused
+
+    @property
+    def stopped(self) -> bool:
+        """Whether playing has been ended."""
+        return self._stopped
 
     def now_ns(self) -> int:
         """The bag's time at this moment [ns]."""
@@ -58,6 +68,12 @@ class Transport:
             self._settle(bag_ns)
             self._target = bag_ns
             self._steps = 0
+
+    def stop(self) -> None:
+        """End it: nothing more is to be played."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
 
     def stand_at(self, bag_ns: int) -> None:
         """Let it be this time of the bag [ns] now: what was waited for something else doesn't count."""

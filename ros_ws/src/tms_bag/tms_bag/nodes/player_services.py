@@ -45,6 +45,10 @@ def offer_services(node: Node, transport: Transport, start_ns: int, end_ns: int)
         response.success, response.message = True, f"{transport.rate:g}"
         return response
 
+    def stop(request: Any, response: Any) -> Any:
+        transport.stop()
+        return response
+
     node.create_service(Empty, "~/pause", partial(pause, True))
     node.create_service(Empty, "~/resume", partial(pause, False))
     node.create_service(Empty, "~/toggle_paused", partial(pause, None))
@@ -53,3 +57,4 @@ def offer_services(node: Node, transport: Transport, start_ns: int, end_ns: int)
     node.create_service(Seek, "~/seek", seek)
     node.create_service(SetRate, "~/set_rate", set_rate)
     node.create_service(Trigger, "~/get_rate", get_rate)
+    node.create_service(Empty, "~/stop", stop)

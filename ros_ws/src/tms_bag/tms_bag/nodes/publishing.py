@@ -6,9 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
-from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from tms_bag.channel import check_encoding
@@ -60,15 +58,16 @@ def subscription_count(publishers: Publishers) -> int:
     return sum(int(publisher.get_subscription_count()) for publisher in publishers.values())
 
 
-def wait_for_subscriptions(publishers: Publishers, wanted: int, timeout: float, context: Context) -> None:
+def wait_for_subscriptions(
+    publishers: Publishers, wanted: int, timeout: float, between: Callable[[], None]
+) -> None:
     """Return when `wanted` subscriptions match: messages sent before are lost for them.
 
-    RecordingError after `timeout` [s], ExternalShutdownException when a signal comes first.
+    RecordingError after `timeout` [s]; `between` is called in between, and may raise to end the wait.
     """
     deadline = time.monotonic() + timeout
     while (found := subscription_count(publishers)) < wanted:
-        if not context.ok():
-            raise ExternalShutdownException
+        between()
         if time.monotonic() > deadline:
             raise RecordingError(
                 f"expected {wanted} subscriptions within {timeout:g} s, found {found};"

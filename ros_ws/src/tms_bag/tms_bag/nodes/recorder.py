@@ -12,12 +12,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 import tms_bag
-from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.discovery import Discovery
 from tms_bag.nodes.process import RCLError, run_node
+from tms_bag.nodes.recorder_report import RecorderReport
 from tms_bag.nodes.recorder_services import offer_services
 from tms_bag.nodes.recorder_settings import declare_recorder_settings
-from tms_bag.nodes.stamping import SimulatedStamps, WallStamps
+from tms_bag.nodes.stamping import WallStamps, make_stamps
 from tms_bag.record import Record
 from tms_bag.remarks import closing_words, disk_words, recording_remarks
 from tms_bag.writing.live_bag import LiveBag
@@ -34,7 +34,7 @@ class Recorder(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", **kwargs)
         settings = declare_recorder_settings(self)
-        self._stamps = SimulatedStamps(self) if self.get_parameter("use_sim_time").value else WallStamps()
+        self._stamps = make_stamps(self)
         self._writer = BagWriter(
             settings.output, live=True, preset=settings.compression, splitting=settings.splitting
         )
@@ -44,18 +44,18 @@ class Recorder(Node):
             *(self, settings.selection, settings.history, settings.include_unpublished),
             announce=self._writer.add_channel,
         )
-        self._told: dict[str, int] = {}  # losses that the user knows already
+        self._stopped = False
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self)
-        offer_services(self, self._bag, self._drain_all)
-        report_every_second(self, self._report)
+        offer_services(self, self._bag, self._drain_all, self._stop)
+        RecorderReport(self, self._bag, self._discovery, self._stamps)
         self.get_logger().info(f"recording to {self._writer.path}")
 
     def run(self) -> None:
-        """Record until a signal. OSError when the disk takes no more."""
+        """Record until ~/stop or a signal. OSError when the disk takes no more."""
         look_at = 0.0
         try:
-            while True:
+            while not self._stopped:
                 if time.monotonic() >= look_at:
                     self._discovery.look()
                     look_at = time.monotonic() + LOOK_PERIOD
@@ -83,6 +83,9 @@ class Recorder(Node):
         words = closing_words(self._writer.counts, found.lost, found.passed_over)
         print(f"{self._writer.path}: {words}", file=sys.stderr)
 
+    def _stop(self) -> None:
+        self._stopped = True
+
     def _drain_all(self) -> None:
         while self._drain():
             pass
@@ -102,21 +105,6 @@ class Recorder(Node):
         stamp = self._stamps.at(arrived_ns)
         sent = sent_ns if stamp == arrived_ns else stamp
         self._bag.take(Record(name, kind, stamp, data, sent), arrived_ns)
-
-    def _report(self) -> Report:
-        lost = self._discovery.lost
-        if lost != self._told:
-            self._told = lost
-            self.get_logger().warning(f"lost messages: {lost}")
-        if not self._stamps.ready:
-            return "waiting for /clock (use_sim_time is set)", False, {}
-        counts = self._writer.counts
-        values: dict[str, object] = {**counts, **{f"{name} lost": count for name, count in lost.items()}}
-        values |= {"files": self._writer.file_count, "clock went back": self._stamps.jumps}
-        if self._bag.recent is not None:
-            values["kept in memory [bytes]"] = self._bag.recent.bytes
-        doing = "paused: " if self._bag.paused else ""
-        return f"{doing}{sum(counts.values())} messages in {self._writer.path}", not lost, values
 
 
 def main(args: list[str] | None = None) -> int:

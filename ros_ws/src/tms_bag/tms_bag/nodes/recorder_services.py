@@ -12,10 +12,10 @@ from std_srvs.srv import Empty, Trigger
 from tms_bag.writing.live_bag import LiveBag
 
 
-def offer_services(node: Node, bag: LiveBag, drain: Callable[[], None]) -> None:
-    """Pause, resume, is_paused, split_bagfile and snapshot, under the node's name.
+def offer_services(node: Node, bag: LiveBag, drain: Callable[[], None], end: Callable[[], None]) -> None:
+    """Pause, resume, is_paused, split_bagfile, snapshot and stop, under the node's name.
 
-    `drain` takes what has arrived: it belongs to the time before the call.
+    `drain` takes what has arrived: it belongs to the time before the call. `end` lets the node end.
     """
 
     def pause(paused: bool, request: Any, response: Any) -> Any:
@@ -40,8 +40,13 @@ def offer_services(node: Node, bag: LiveBag, drain: Callable[[], None]) -> None:
             response.message = f"{bag.snapshot()} messages written"
         return response
 
+    def stop(request: Any, response: Any) -> Any:
+        end()
+        return response
+
     node.create_service(Empty, "~/pause", partial(pause, True))
     node.create_service(Empty, "~/resume", partial(pause, False))
     node.create_service(Trigger, "~/is_paused", is_paused)
     node.create_service(Empty, "~/split_bagfile", split)
     node.create_service(Trigger, "~/snapshot", snapshot)
+    node.create_service(Empty, "~/stop", stop)

@@ -63,3 +63,11 @@ class SimulatedStamps:
         self.jumps += bool(self._told) and time_ns < self._told[-1]
         self._arrived.append(arrived_ns)
         self._told.append(time_ns)
+
+
+Stamps = WallStamps | SimulatedStamps
+
+
+def make_stamps(node: Node) -> Stamps:
+    """Simulated ones if the node's parameter `use_sim_time` says so."""
+    return SimulatedStamps(node) if node.get_parameter("use_sim_time").value else WallStamps()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -48,6 +49,8 @@ class Destination:
             raise RecordingError(
                 f"{self.path}: can't make this folder ({error.strerror}); choose another place for the bag"
             ) from error
+        for made in (self._folder, *missing):
+            sync_folder(made.parent)
         return self._folder
 
     def keep(self) -> None:
@@ -67,6 +70,7 @@ class Destination:
                 f"{self.path}: something else was put there while the bag was written ({error.strerror});"
                 " run it again"
             ) from error
+        sync_folder(self.path.parent)
         if self._replaces and old != self._keep_old_as:
             shutil.rmtree(old, ignore_errors=True)
 
@@ -81,12 +85,33 @@ class Destination:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    """Bring the names in a folder to the disk, where its file system lets one ask for that."""
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except PermissionError:  # one may write into it and not read it
+        return
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
     finally:
         os.close(handle)
+
+
+def write_at_once(path: Path, text: str) -> None:
+    """Write a file that is on the disk whole or, whatever happens meanwhile, not there at all."""
+    unfinished = path.with_name(f".{path.name}.partial")
+    try:
+        with unfinished.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.rename(path)
+    except OSError:
+        unfinished.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
 
 
 def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:

@@ -18,7 +18,7 @@ from tms_bag.channel import Channel, installed_channel
 from tms_bag.errors import RecordingError
 from tms_bag.qos import SENSOR, Qos
 from tms_bag.record import Record
-from tms_bag.writing.folder import Destination, sync_folder
+from tms_bag.writing.folder import Destination, sync_folder, write_at_once
 from tms_bag.writing.mcap_file import McapFile
 from tms_bag.writing.presets import PRESETS
 
@@ -95,8 +95,7 @@ class BagWriter:
         try:
             self._finish_file()
             text = metadata.to_text({metadata.ROOT: self._information()})
-            (self._folder / metadata.FILE_NAME).write_text(text, encoding="utf-8")
-            sync_folder(self._folder)
+            write_at_once(self._folder / metadata.FILE_NAME, text)
         except BaseException:
             self._file.abandon()
             if not self.live:
