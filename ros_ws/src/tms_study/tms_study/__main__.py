@@ -15,6 +15,7 @@ from tms_model.command_line import Parser, print_json, run
 from tms_sim.scenario import load_scenario, parse_change
 
 from tms_study.bound import FREE, table, to_json, to_text
+from tms_study.campaign_command import add_campaign, run_campaign
 from tms_study.demo import demo
 from tms_study.findings import findings_json, findings_text, write_markdown
 from tms_study.validation import validate
@@ -27,6 +28,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(demo(Path(arguments.out), arguments.scenario, arguments.seed))
     elif arguments.command == "bound":
         _bound(arguments)
+    elif arguments.command == "campaign":
+        run_campaign(arguments)
     else:
         _validate(arguments)
 
@@ -59,6 +62,7 @@ def _parser() -> Parser:
     command.add_argument("--seed", type=int, default=2011, help="seed of all noise (default %(default)s)")
     command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
     command.add_argument("-o", "--output", help="Markdown file to write the table to")
+    add_campaign(commands)
     return parser
 
 

@@ -54,12 +54,12 @@ class Bound:
     std: dict[str, float]  # by parameter, SI, no bias of an absent channel; empty: can't be told apart
 
 
-def planned(scenario: Scenario) -> Experiment:
-    """The experiment that a scenario describes."""
+def planned(scenario: Scenario, window: float = FitSettings.window) -> Experiment:
+    """The experiment that a scenario describes, with a free response of `window` [s] used at most."""
     rate = scenario.number("imu.rate")
     density = load_imu(scenario.text("imu.grade")).gyroscope.noise_density
     left = scenario.number("duration") - scenario.numbers("strike.time")[0]
-    return Experiment(rate, density, min(left, FitSettings.window), scenario.numbers("strike.lean_rate")[0])
+    return Experiment(rate, density, min(left, window), scenario.numbers("strike.lean_rate")[0])
 
 
 def bound(scenario: Scenario, experiment: Experiment, free: tuple[str, ...]) -> Bound:

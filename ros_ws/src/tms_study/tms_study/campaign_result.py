@@ -1,0 +1,132 @@
+"""What a campaign says: for each combination how many strikes were found, how right and how honest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+from tms_fit.settings import DEFAULT_FREE
+
+from tms_study import __version__
+from tms_study.bound import bound, planned
+from tms_study.campaign import Campaign, Row
+
+NOMINAL = 0.95
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All runs of one combination."""
+
+    combination: dict[str, Any]
+    runs: int
+    struck: int  # true strikes
+    missed: int
+    false: int
+    fitted: int  # with an estimate
+    bias: float  # [rad/s] mean of estimate less truth
+    std: float  # [rad/s] standard deviation of that
+    stated: float  # [rad/s] root mean square of the standard errors
+    bound: float  # [rad/s] Cramer-Rao bound of the scenario's first strike, NaN: none
+    covered: float  # share of 95 % intervals that hold the truth
+    covered_low: float  # 95 % interval of that share (Wilson)
+    covered_high: float
+    vaf: float  # median, lean rate
+
+    @property
+    def bias_std(self) -> float:
+        """Standard error of the bias [rad/s]."""
+        return self.std / math.sqrt(self.fitted) if self.fitted else float("nan")
+
+    @property
+    def honest(self) -> bool:
+        """Whether the share of intervals that hold the truth may be 95 %."""
+        return not self.fitted or self.covered_low <= NOMINAL <= self.covered_high
+
+
+def summarise(campaign: Campaign, rows: list[Row]) -> list[Summary]:
+    """A summary per combination, in their order."""
+    return [
+        _summary(campaign, combination, [r for r in rows if r.combination == _told(combination)])
+        for combination in campaign.combinations
+    ]
+
+
+def to_json(campaign: Campaign, summaries: list[Summary]) -> dict[str, Any]:
+    """The document of `study campaign --json`."""
+    return {
+        "version": __version__,
+        "scenario": campaign.scenario,
+        "set": dict(campaign.changes),
+        "vary": {key: list(values) for key, values in campaign.varied.items()},
+        "seed": campaign.seed,
+        "runs": campaign.runs,
+        "combinations": [{**vars(one), "bias_std": one.bias_std, "honest": one.honest} for one in summaries],
+    }
+
+
+def to_text(campaign: Campaign, summaries: list[Summary]) -> str:
+    """The table for the terminal."""
+    keys = list(campaign.varied)
+    widths = [max(len(key), 8) for key in keys]
+    first = " ".join(f"{key:>{width}}" for key, width in zip(keys, widths, strict=True))
+    lines = [
+        f"{campaign.scenario}: initial lean rate of {campaign.runs} runs each, estimate less truth [rad/s]",
+        f"{first} {'struck':>6} {'missed':>6} {'false':>5} {'bias':>18} {'sd':>8} {'stated':>8} {'bound':>8}"
+        f" {'95 % hold':>18} {'VAF':>6}",
+    ]
+    for one in summaries:
+        own = " ".join(
+            f"{value!s:>{width}}" for value, width in zip(one.combination.values(), widths, strict=True)
+        )
+        bias = f"{one.bias:+.2g} +- {one.bias_std:.1g}"
+        hold = f"{one.covered:.2f} ({one.covered_low:.2f}-{one.covered_high:.2f})"
+        lines.append(
+            f"{own} {one.struck:6} {one.missed:6} {one.false:5} {bias:>18}"
+            f" {one.std:8.2g} {one.stated:8.2g} {one.bound:8.2g} {hold:>18} {one.vaf:6.3f}"
+            + ("" if one.honest else "  intervals are not 95 %")
+        )
+    return "\n".join(lines)
+
+
+def _told(combination: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(map(str, combination.values()))
+
+
+def _summary(campaign: Campaign, combination: dict[str, Any], rows: list[Row]) -> Summary:
+    fitted = [row for row in rows if row.status == "ok" and not math.isnan(row.estimate)]
+    error = np.array([row.error for row in fitted])
+    nothing = float("nan")
+    low, high = nothing, nothing
+    if fitted:
+        interval = binomtest(sum(row.covered for row in fitted), len(fitted)).proportion_ci(method="wilson")
+        low, high = float(interval.low), float(interval.high)
+    return Summary(
+        combination=combination,
+        runs=len({row.seed for row in rows}),
+        struck=sum(row.status != "false" for row in rows),
+        missed=sum(row.status == "missed" for row in rows),
+        false=sum(row.status == "false" for row in rows),
+        fitted=len(fitted),
+        bias=float(error.mean()) if fitted else nothing,
+        std=float(error.std(ddof=1)) if len(fitted) > 1 else nothing,
+        stated=math.sqrt(np.mean([row.std**2 for row in fitted])) if fitted else nothing,
+        bound=_bound(campaign, combination),
+        covered=float(np.mean([row.covered for row in fitted])) if fitted else nothing,
+        covered_low=low,
+        covered_high=high,
+        vaf=float(np.median([row.vaf_lean_rate for row in fitted])) if fitted else nothing,
+    )
+
+
+def _bound(campaign: Campaign, combination: dict[str, Any]) -> float:
+    """The least standard deviation; NaN without noise or strike, or where it can't be told apart."""
+    scenario = campaign.scenario_of(combination, campaign.seed)
+    experiment = planned(scenario, campaign.settings.window)
+    if not (experiment.noise > 0.0 and experiment.duration > 0.0 and experiment.lean_rate):
+        return float("nan")
+    free = campaign.settings.free or DEFAULT_FREE
+    return bound(scenario, experiment, free).std.get("initial_lean_rate", float("nan"))

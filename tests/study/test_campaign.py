@@ -1,0 +1,155 @@
+"""A campaign: its rows are those of `sim run` and `fit run`, its figures follow from them, and it goes on."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tms_bag import RecordingError
+from tms_fit.__main__ import main as fit
+from tms_fit.settings import FitSettings
+from tms_model import ParameterError
+from tms_sim.__main__ import main as sim
+from tms_study.__main__ import main as study
+from tms_study.campaign import Campaign, Row, ride_all
+from tms_study.campaign_file import CampaignFile
+from tms_study.campaign_result import summarise
+
+SETTINGS = FitSettings(window=1.0, estimators=("least_squares",))
+
+
+def campaign(runs: int = 2, **changes: object) -> Campaign:
+    return Campaign(
+        "tms_strike", {"duration": 4.0, **changes}, {"strike.lean_rate": (0.3, 0.5)}, runs, 7, SETTINGS
+    )
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return ride_all(campaign())
+
+
+def test_a_row_is_what_sim_run_and_fit_run_give(
+    rows: list[Row], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = next(row for row in rows if row.combination == ("0.5",) and row.seed == 8)
+    bag = str(tmp_path / "bag")
+    sim(
+        [
+            "run",
+            "tms_strike",
+            "--set",
+            "duration=4.0",
+            "--set",
+            "strike.lean_rate=0.5",
+            "--seed",
+            "8",
+            "-o",
+            bag,
+        ]
+    )
+    fit(["run", bag, "--window", "1.0", "--estimator", "least_squares", "--json"])
+    (strike,) = json.loads(capsys.readouterr().out)["strikes"]
+    found = strike["estimates"][0]["parameters"]["initial_lean_rate"]
+    assert one.estimate == found["value"]
+    assert [one.low, one.high] == found["ci95"]
+    assert one.truth == pytest.approx(
+        0.5, rel=0.01
+    )  # a little later than the strike, it has changed a little
+
+
+def test_summary_by_hand(rows: list[Row]) -> None:
+    for one, told in zip(summarise(campaign(), rows), ("0.3", "0.5"), strict=True):
+        errors = [row.estimate - row.truth for row in rows if row.combination == (told,)]
+        assert (one.runs, one.struck, one.missed, one.false, one.fitted) == (2, 2, 0, 0, 2)
+        assert one.bias == pytest.approx(np.mean(errors))
+        assert one.std == pytest.approx(abs(errors[0] - errors[1]) / np.sqrt(2.0))
+        # No estimator can promise less than the bound; at so few samples the stated error scatters by some %.
+        assert 0.85 < one.stated / one.bound < 1.3
+
+
+def test_missed_and_false_strikes_are_counted() -> None:
+    weak = Campaign("tms_strike", {"duration": 4.0, "strike.lean_rate": 0.0}, {}, 1, 1, SETTINGS)
+    (row,) = ride_all(weak)
+    assert row.status == "missed"
+    (one,) = summarise(weak, [row, Row((), 1, 2, 2, "false", 3.0)])
+    assert (one.struck, one.missed, one.false, one.fitted) == (1, 1, 1, 0)
+
+
+def test_it_goes_on_where_it_was_killed(rows: list[Row], tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    whole = CampaignFile(path, campaign())
+    for row in rows:
+        whole.add([row])
+    text = path.read_text()
+    for cut in range(len(text) // 2, len(text), 37):  # killed at any byte
+        path.write_text(text[:cut])
+        again = CampaignFile(path, campaign())
+        assert again.rows == rows[: len(again.rows)]
+        assert len(again.rows) >= 1
+    made: list[Row] = []
+    assert ride_all(campaign(), again.rows, made.extend) == rows
+    assert len(made) == len(rows) - len(again.rows)
+    for row in made:
+        again.add([row])
+    assert path.read_text() == text
+
+
+def test_another_campaign_is_not_continued(rows: list[Row], tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    CampaignFile(path, campaign()).add(rows)
+    with pytest.raises(RecordingError, match="another scenario, fit or version"):
+        CampaignFile(path, campaign(speed=3.0))
+    path.write_text("time,rate\n1,2\n")
+    with pytest.raises(RecordingError, match="another table"):
+        CampaignFile(path, campaign())
+    assert path.read_text() == "time,rate\n1,2\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nonsense"], "unknown scenario"),
+        (["tms_strike", "--vary", "speed=3"], "--vary: expected KEY="),
+        (["tms_strike", "--vary", "speed=[3, 3]"], "each value once"),
+        (["tms_strike", "--vary", "sped=[3]"], "unknown key 'sped'"),
+        (["tms_strike", "--vary", "speed=[3]", "--set", "speed=4"], "leave it out of one"),
+        (["tms_strike", "--vary", "seed=[3]"], "leave it out of one"),
+        (["tms_strike", "--vary", "speed=[-3]"], "speed"),
+        (["tms_strike", "--runs", "0"], "expected 1 to"),
+        (["tms_strike", "--fit", "windw=1"], "--fit: unknown 'windw'"),
+        (["tms_strike", "--fit", "window=wide"], "values of the right kind"),
+        (["tms_strike", "--fit", "window=0"], "window: expected"),
+        (["tms_strike", "-o", "/nowhere/at/all.csv"], "a folder that exists"),
+    ],
+)
+def test_nonsense_is_one_clear_line(arguments: list[str], expected: str) -> None:
+    with pytest.raises((ParameterError, RecordingError)) as told:
+        study(["campaign", *arguments])
+    assert expected in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_command_writes_table_figure_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, figure = tmp_path / "campaign.csv", tmp_path / "campaign.svg"
+    words = [
+        "campaign",
+        "tms_strike",
+        "--vary",
+        "strike.lean_rate=[0.4, 0.5]",
+        "--runs",
+        "1",
+        "--fit",
+        "window=1.0",
+    ]
+    study([*words, "--set", "duration=4.0", "-o", str(path), "--figure", str(figure), "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert [one["combination"] for one in document["combinations"]] == [
+        {"strike.lean_rate": 0.4}, {"strike.lean_rate": 0.5}
+    ]  # fmt: skip
+    lines = list(csv.DictReader(path.open()))
+    assert [line["strike.lean_rate"] for line in lines] == ["0.4", "0.5"]
+    assert "estimate less truth" in figure.read_text()
