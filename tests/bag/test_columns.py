@@ -362,3 +362,34 @@ def test_the_fit_of_a_bag_cut_short_says_so(tmp_path, command):
     assert "cut short" in document["warnings"][0]
     assert json.loads(command("tms_fit", "run", whole.parent / "whole.mcap", "--json").out)["warnings"]
     assert json.loads(command("tms_fit", "run", source, "--json").out)["warnings"] == []
+
+
+def test_a_message_in_a_message_that_holds_nothing_takes_a_byte(tmp_path):
+    """As rosidl lays out types of constants only; rosbags writes it so too."""
+    kind = "elsewhere_msgs/msg/Thing"
+    definition = (
+        "elsewhere_msgs/Nothing[3] nothing\nuint8 flag\nelsewhere_msgs/Nothing one\nfloat64 value\n"
+        + "=" * 80
+        + "\nMSG: elsewhere_msgs/Nothing\nuint8 CONSTANT=7\n"
+    )
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, kind))
+    nothing = store.types["elsewhere_msgs/msg/Nothing"]
+    data = [
+        bytes(store.serialize_cdr(store.types[kind]([nothing()] * 3, n, nothing(), n / 4), kind))
+        for n in range(20)
+    ]
+    assert data[9][4:].hex() == "000000" + "09" + "00" + "000000" + np.float64(2.25).tobytes().hex()
+    messages = [("/thing", kind, n, one) for n, one in enumerate(data)]
+    with BagReader(write_mcap(tmp_path / "a.mcap", messages, schema=lambda _: definition)) as bag:
+        columns = bag.columns({"/thing": None})["/thing"]
+    assert columns["flag"].tolist() == [*range(20)]
+    assert columns["value"].tolist() == [n / 4 for n in range(20)]
+
+
+def test_messages_of_a_type_without_fields_have_their_times(tmp_path):
+    messages = [("/button", "elsewhere_msgs/msg/Pressed", n, b"\0\1\0\0\0") for n in range(9)]
+    with BagReader(write_mcap(tmp_path / "a.mcap", messages, schema=lambda _: "")) as bag:
+        columns = bag.columns({"/button": None})["/button"]
+    assert columns.log_time_ns.tolist() == [*range(9)]
+    assert columns.values == {}

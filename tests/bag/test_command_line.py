@@ -129,7 +129,8 @@ def test_repair_tells_what_it_saved(command, unfinished_bag):
     answer = command(BAG, "repair", unfinished_bag)
     assert answer.code == 0
     assert answer.out.startswith(
-        f"{unfinished_bag}: 1200 messages recovered; left out: 0 damaged parts, 0 bytes"
+        f"{unfinished_bag}: 1200 messages recovered; damaged parts left out: 0;"
+        " incomplete at the end: 0 bytes"
     )
     assert f"the original is {unfinished_bag}.unrepaired" in answer.out
     assert "nothing to repair" in command(BAG, "repair", unfinished_bag).out

@@ -163,7 +163,7 @@ def test_the_old_paths_with_the_name_of_the_folder_are_understood(tmp_path):
     ("changes", "expected"),
     [
         ({"storage_identifier": "tape"}, "ros2 bag convert"),
-        ({"compression_mode": "FILE"}, "compression_mode 'FILE'"),
+        ({"compression_mode": "FILE", "compression_format": "lzma"}, "compression_format 'lzma'"),
         ({"relative_file_paths": []}, "list of files"),
         ({"relative_file_paths": [["a"]]}, "list of files"),
         ({"relative_file_paths": "a.mcap"}, "list of files"),

@@ -96,7 +96,11 @@ def _repair(arguments: argparse.Namespace) -> None:
     if done.output is None:
         print(f"{arguments.bag}: {done.message_count} messages, closed properly; nothing to repair")
         return
-    lost = f"; left out: {done.damaged_chunks} damaged parts, {done.unread_bytes} bytes at the end"
+    saved = f", {done.saved} messages saved from it" if done.saved else ""
+    lost = (
+        f"; damaged parts left out: {done.damaged_chunks}; incomplete at the end: {done.unread_bytes} bytes"
+    )
+    lost += saved
     kept = f"; the original is {done.original}" if done.original else ""
     print(f"{done.output}: {done.message_count} messages recovered{lost}{kept}")
 

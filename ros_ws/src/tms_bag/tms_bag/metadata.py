@@ -21,6 +21,7 @@ FILE_NAME = "metadata.yaml"
 ROOT = "rosbag2_bagfile_information"
 VERSION = 9
 EMPTY_BAG_START_NS = 2**63 - 1  # what rosbag2 writes when there is no message
+LAST_WITH_FOLDER = 4  # version in which the files' paths could start with the name of the bag's folder
 LARGEST_FILE = 4 * 2**20  # [bytes]; real ones are a few kilobytes
 
 
@@ -114,17 +115,22 @@ def read_file(path: Path) -> Metadata:
             f"{path}: expected a bag stored as mcap or sqlite3, found storage {_short(storage)};"
             " convert it with `ros2 bag convert` (storage_id: mcap)"
         )
-    if information.get("compression_mode") not in (None, "", "none", "NONE", "None"):
+    packed = str(information.get("compression_mode") or "none").lower() != "none"
+    if packed and information.get("compression_format") not in ("zstd", "", None):
         raise RecordingError(
-            f"{path}: expected a bag without rosbag2's compression (MCAP's chunks may be compressed), found"
-            f" compression_mode {_short(information['compression_mode'])}; convert it with `ros2 bag convert`"
+            f"{path}: expected files or messages packed with zstd, found compression_format"
+            f" {_short(information['compression_format'])}; convert the bag with `ros2 bag convert`"
         )
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise RecordingError(
             f"{path}: expected a list of files under relative_file_paths, found {_short(names)}"
         )
-    return Metadata(tuple(_inside(name, path) for name in names), _texts(information.get("custom_data")))
+    version = information.get("version")
+    named = isinstance(version, int) and version <= LAST_WITH_FOLDER
+    return Metadata(
+        tuple(_inside(name, path, named) for name in names), _texts(information.get("custom_data"))
+    )
 
 
 def custom_data_of_record(text: str) -> dict[str, str]:
@@ -170,12 +176,18 @@ def _load(path: Path) -> dict[str, Any]:
     return information
 
 
-def _inside(name: str, path: Path) -> str:
-    """The name of a file of the bag, if it stays in the folder of the bag."""
+def _inside(name: str, path: Path, named: bool) -> str:
+    """The name of a file of the bag, if it stays in the folder of the bag.
+
+    Up to version 4 paths started with what was the name of the folder (`named`), which may have changed.
+    """
     pure = PurePosixPath(name)
-    # Up to version 3 the paths started with the name of the folder.
-    parts = pure.parts[1:] if len(pure.parts) == 2 and pure.parts[0] == path.parent.name else pure.parts
-    if len(parts) != 1 or parts[0] in ("", ".", "..") or pure.is_absolute():
+    parts = (
+        pure.parts[1:]
+        if len(pure.parts) == 2 and (named or pure.parts[0] == path.parent.name)
+        else pure.parts
+    )
+    if len(parts) != 1 or {".", "..", "/", ""} & {*parts, *pure.parts}:
         raise RecordingError(
             f"{path}: expected file names in the folder of the bag, found {name!r}: not opened"
         )

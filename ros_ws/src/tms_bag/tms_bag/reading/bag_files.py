@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tms_bag import metadata
 from tms_bag.errors import RecordingError
+from tms_bag.reading.packed_file import SUFFIX, is_packed, kind_of
 
 SUFFIXES = (".mcap", ".db3")
 
@@ -29,7 +30,7 @@ def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata 
     stored = _stored_metadata(path, salvage)
     if stored and not salvage:
         return [_inside(path, name) for name in stored.files], stored
-    names = sorted((entry.name for entry in path.iterdir() if entry.suffix in SUFFIXES), key=_split_number)
+    names = sorted((entry.name for entry in path.iterdir() if _counts(entry)), key=_split_number)
     if not names:
         entries = sorted(entry.name for entry in path.iterdir())[:5]
         raise RecordingError(
@@ -57,9 +58,16 @@ def _stored_metadata(path: Path, salvage: bool) -> metadata.Metadata | None:
         raise
 
 
+def _counts(entry: Path) -> bool:
+    """A file of a bag. Players leave an unpacked one beside the packed one, which is the same again."""
+    return kind_of(entry) in SUFFIXES and not (is_packed(entry) and entry.with_suffix("").exists())
+
+
 def _inside(folder: Path, name: str) -> Path:
     """A file of the bag; RecordingError if it is missing or a link leads out of the folder."""
     path = folder / name
+    others = (folder / name.removesuffix(SUFFIX), folder / (name + SUFFIX))  # who has (un)packed it by hand
+    path = next((there for there in (path, *others) if there.is_symlink() or there.exists()), path)
     if path.resolve().parent != folder.resolve():
         raise RecordingError(
             f"{path}: expected a file in the folder of the bag, found a link to elsewhere: not opened"
@@ -73,5 +81,5 @@ def _inside(folder: Path, name: str) -> Path:
 
 def _split_number(name: str) -> tuple[str, int]:
     """Files in the order in which a recorder split them: bag_2 before bag_10."""
-    stem, _, number = name.removesuffix(".mcap").removesuffix(".db3").rpartition("_")
+    stem, _, number = name.removesuffix(SUFFIX).removesuffix(".mcap").removesuffix(".db3").rpartition("_")
     return (stem, int(number)) if number.isdecimal() else (name, -1)

@@ -16,8 +16,10 @@ from tms_bag.errors import RecordingError
 from tms_bag.reading.block import Block
 from tms_bag.reading.frames import LARGEST_CHUNK, Frame
 from tms_bag.reading.index import FileIndex, Span
+from tms_bag.reading.packed_file import with_name
 
-PART = 4096  # messages in a part, on the average
+PART, PART_SIZE = 4096, 2**22  # messages and [bytes] in a part, on the average
+MOST_READ = 4 * LARGEST_CHUNK  # [bytes] of a part, whose messages may come in bursts
 _LENGTH_LIMIT = 0  # SQLITE_LIMIT_LENGTH
 _SQLITE = 0  # where an MCAP file's opcode stands in a Frame
 
@@ -29,13 +31,10 @@ class Db3Source:
         self.path = path
         self._lock = Lock()  # parts may be read in advance by another thread
         try:
-            self.size = path.stat().st_size
-            self._reader = Reader(path)
-            self._reader.open()
-            storage: Any = self._reader.storage
-            if hasattr(storage.dbconn, "limit"):  # a text or a message never is as long as a file may say
-                storage.dbconn.limit(_LENGTH_LIMIT, LARGEST_CHUNK)
+            self.size, self._reader = with_name(path, _open)
             self.index = self._index()
+        except RecordingError:
+            raise
         except Exception as error:  # whatever sqlite and rosbags find in a file that is none
             raise RecordingError(
                 f"{path}: expected an sqlite3 file of rosbag2, found another one or a damaged one"
@@ -51,8 +50,8 @@ class Db3Source:
                 for connection, time, data in messages:
                     found.append((connection.id, time, bytes(data)))
                     size += len(data)
-                    if size > LARGEST_CHUNK and span.start_ns < span.end_ns:
-                        raise ValueError(f"more than {LARGEST_CHUNK} bytes in {PART} messages")
+                    if size > MOST_READ and span.start_ns < span.end_ns:
+                        raise ValueError(f"more than {MOST_READ} bytes in {span.end_ns - span.start_ns} ns")
             except Exception as error:
                 raise ValueError(" ".join(str(error).split())[:200]) from error
         sizes = np.array([len(data) for _, _, data in found], np.int64)
@@ -77,13 +76,24 @@ class Db3Source:
             index.channels[connection.id] = _channel(connection)
             index.counts[connection.id] = connection.msgcount
         if reader.message_count:
-            parts = min(math.ceil(reader.message_count / PART), max(reader.duration, 1), 2**20)
+            parts = math.ceil(max(reader.message_count / PART, self.size / PART_SIZE))
+            parts = min(parts, max(reader.duration, 1), 2**20)
             edges = [reader.start_time + reader.duration * part // parts for part in range(parts + 1)]
             index.spans = [
                 Span(Frame(_SQLITE, number, number), first, last - 1, loose=False)
                 for number, (first, last) in enumerate(pairwise(edges))
             ]
         return index
+
+
+def _open(path: Path) -> tuple[int, Reader]:
+    """Size [bytes] and reader of an sqlite3 file; its name isn't needed any more."""
+    reader = Reader(path)
+    reader.open()
+    storage: Any = reader.storage
+    if hasattr(storage.dbconn, "limit"):  # a text or a message never is as long as a file may say
+        storage.dbconn.limit(_LENGTH_LIMIT, LARGEST_CHUNK)
+    return path.stat().st_size, reader
 
 
 def _channel(connection: Any) -> Channel:

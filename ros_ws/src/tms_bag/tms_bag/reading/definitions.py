@@ -22,7 +22,14 @@ def fields_of(channel: Channel) -> Fields:
     A bag of an older version of a package brings its own definitions: these count.
     """
     stored = _stored_fields(channel.type, channel.schema, channel.schema_encoding)
-    return messages.all_fields(channel.type) if stored is None else stored
+    if stored is not None:
+        return stored
+    try:
+        return messages.all_fields(channel.type)
+    except RecordingError:
+        if channel.schema_encoding == "ros2msg" and not channel.schema.strip():
+            return _nothing_in(channel.type)
+        raise
 
 
 def message_of(channel: Channel, data: bytes) -> Any:
@@ -30,6 +37,12 @@ def message_of(channel: Channel, data: bytes) -> Any:
     return messages.deserialize(
         data, channel.type, _store(channel.type, channel.schema, channel.schema_encoding)
     )
+
+
+@lru_cache(maxsize=64)
+def _nothing_in(type_name: str) -> Fields:
+    """Of a type whose definition is empty, as that of std_msgs/Empty."""
+    return {type_name: ([], [])}
 
 
 @lru_cache(maxsize=64)

@@ -21,6 +21,7 @@ from mcap.records import Chunk
 MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # [bytes] opcode and length
 LARGEST_CHUNK = 2**26  # [bytes] decompressed; rosbag2's chunks have 0.75 to 4 MiB
+LARGEST_WINDOW = 2**27  # [bytes] of memory that zstd may ask for; its levels up to 22 take no more
 
 # What reading a damaged record can raise: the mcap library, struct, the decompressors, a disk that fails.
 DAMAGE = (

@@ -1,8 +1,8 @@
 """What is where in an MCAP file: from its summary, or by going through the file where there is none.
 
 A file that was closed properly ends with a summary. An unfinished one (its recorder was killed, its disk was
-full) or a damaged one is read up to its last complete chunk; damaged chunks before that are left out and
-counted.
+full) or a damaged one is read as far as its records are whole, the messages of a chunk that isn't complete
+included; damaged chunks before that are left out and counted.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Schema, St
 from tms_bag.channel import Channel, stored_channel
 from tms_bag.metadata import custom_data_of_record
 from tms_bag.reading import frames
+from tms_bag.reading.begun_chunk import begun_chunk
 from tms_bag.reading.block import MESSAGE_HEAD, Block, begun_block_of, block_of
 from tms_bag.reading.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
 
@@ -36,6 +37,7 @@ class Span:
     end_ns: int  # latest log time
     loose: bool
     channels: frozenset[int] | None = None  # those that have messages in it; None: not known
+    begun: bool = False  # a chunk whose end is missing
 
 
 @dataclass
@@ -49,6 +51,7 @@ class FileIndex:
     complete: bool = False  # closed properly
     damaged_chunks: int = 0
     unread_bytes: int = 0  # at the end, where no complete record stands any more
+    saved: int = 0  # messages that stand in these bytes nevertheless, in a chunk whose end is missing
 
     @property
     def time_range(self) -> tuple[int, int] | None:
@@ -128,6 +131,8 @@ def scan(file: BinaryIO, size: int) -> FileIndex:
                 break
         end = stop
     index = builder.index
+    if not closed:
+        builder.add_begun_chunk(end, size)
     closed = closed and os.pread(file.fileno(), len(MAGIC) + 1, end) == MAGIC
     index.unread_bytes = 0 if closed else size - end
     index.complete = closed and index.damaged_chunks == 0
@@ -164,6 +169,21 @@ class _Builder:
                 raise ValueError("message too short")
         except DAMAGE:
             self.index.damaged_chunks += 1
+
+    def add_begun_chunk(self, place: int, size: int) -> None:
+        """The messages that can be had of a chunk at a place of the file, if its end is missing."""
+        start = place + HEADER_SIZE
+        if start >= size or os.pread(self._file.fileno(), 1, place)[0] != Opcode.CHUNK:
+            return
+        frame = Frame(Opcode.CHUNK, start, min(size, start + frames.LARGEST_RECORD))
+        try:
+            block, others = begun_chunk(frames.content_of(self._file, frame))
+            for opcode, first, last in others:
+                self.add_definition(opcode, block.content[first:last])
+        except DAMAGE:
+            return
+        self._add_span(block, frame, loose=False, begun=True)
+        self.index.saved = int(block.size.size)
 
     def add_loose(self, content: bytes, place: int) -> tuple[list[Frame], int]:
         """The messages outside chunks that stand at a place in the file.
@@ -249,7 +269,7 @@ class _Builder:
             self.add_definition(opcode, block.content[start:stop])
         self._add_span(block, frame, loose=False)
 
-    def _add_span(self, block: Block, frame: Frame, loose: bool) -> None:
+    def _add_span(self, block: Block, frame: Frame, loose: bool, begun: bool = False) -> None:
         """Messages of a chunk or of a run of loose ones."""
         if not block.channel.size:
             return
@@ -257,10 +277,12 @@ class _Builder:
         for number, count in zip(numbers, counts, strict=True):
             self.index.counts[number] = self.index.counts.get(number, 0) + count
         earliest, latest = int(block.log_time.min()), int(block.log_time.max())
-        self.index.spans.append(Span(frame, earliest, latest, loose, frozenset(numbers)))
+        self.index.spans.append(Span(frame, earliest, latest, loose, frozenset(numbers), begun))
 
 
 def block_at(file: BinaryIO, span: Span) -> Block:
     """Messages of a span. One of DAMAGE if they can't be read."""
     content = frames.content_of(file, span.frame)
+    if span.begun:
+        return begun_chunk(content)[0]
     return begun_block_of(content)[0] if span.loose else block_of(frames.chunk_content(content))[0]

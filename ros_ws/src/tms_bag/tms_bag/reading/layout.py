@@ -106,7 +106,10 @@ class _Arranging:
         """All fields of a message."""
         if depth > DEEPEST:
             raise LayoutError(f"more than {DEEPEST} messages in each other")
-        for name, (kind, content) in self.fields[type_name][1]:
+        fields = self.fields[type_name][1]
+        if not fields:
+            self._advance(1)  # rosidl gives a message of nothing a byte: structure_needs_at_least_one_member
+        for name, (kind, content) in fields:
             if kind == Nodetype.ARRAY:
                 self._elements(content[0], content[1], prefix + name, depth)
             elif kind == Nodetype.SEQUENCE:

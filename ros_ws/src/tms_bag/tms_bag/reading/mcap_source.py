@@ -9,6 +9,7 @@ from tms_bag.errors import RecordingError
 from tms_bag.reading.block import Block
 from tms_bag.reading.frames import MAGIC
 from tms_bag.reading.index import FileIndex, Span, block_at, index_file, scan
+from tms_bag.reading.packed_file import opened
 
 
 class McapSource:
@@ -20,7 +21,7 @@ class McapSource:
     def __init__(self, path: Path, salvage: bool = False, may_be_empty: bool = False) -> None:
         self.path = path
         try:
-            self._file = path.open("rb")
+            self._file = opened(path)
         except OSError as error:
             raise RecordingError(f"{path}: can't be opened ({error.strerror})") from error
         self.size = os.fstat(self._file.fileno()).st_size

@@ -24,6 +24,8 @@ from tms_bag.reading.frames import DAMAGE
 from tms_bag.reading.index import FileIndex, Span
 from tms_bag.reading.layout import Fields
 from tms_bag.reading.mcap_source import McapSource
+from tms_bag.reading.packed_file import kind_of
+from tms_bag.reading.packed_messages import with_messages_unpacked
 from tms_bag.record import Record
 
 MOST_HELD = 2**28  # [bytes] of parts whose times overlap; each is held until its last message is due
@@ -249,7 +251,8 @@ class BagReader:
 
     def _block(self, file_number: int, span: Span) -> Block:
         try:
-            return self._files[file_number].block(span)
+            block = self._files[file_number].block(span)
+            return with_messages_unpacked(block, self._indexes[file_number].channels)
         except DAMAGE as error:
             raise RecordingError(
                 f"{self.path}: the part that starts at byte {span.frame.start} is damaged ({error});"
@@ -284,7 +287,7 @@ class BagReader:
 
 
 def _opened(path: Path, salvage: bool, alone: bool) -> McapSource | Db3Source:
-    if path.suffix == ".db3":
+    if kind_of(path) == ".db3":
         return Db3Source(path)
     return McapSource(path, salvage, may_be_empty=salvage and not alone)  # the others may hold something
 
@@ -296,9 +299,10 @@ def _unfinished(file: McapSource | Db3Source) -> str:
         return ""
     until = f"messages until {index.time_range[1]} ns are here" if index.time_range else "no message is here"
     damaged = f", {index.damaged_chunks} damaged parts are left out" if index.damaged_chunks else ""
+    saved = f", {index.saved} messages saved from it" if index.saved else ", which can't be read"
     return (
         f"{file.path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until},"
-        f" {index.unread_bytes} bytes at its end can't be read{damaged};"
+        f" {index.unread_bytes} bytes at its end are an incomplete part{saved}{damaged};"
         " `tms bag repair` makes a clean bag of it"
     )
 

@@ -23,6 +23,7 @@ class Repair:
     message_count: int  # messages in it
     damaged_chunks: int  # parts that had to be left out
     unread_bytes: int  # at the end of the files, no complete part any more
+    saved: int  # messages that were in these bytes nevertheless
     original: Path | None  # where the bag as it was is kept, if the clean one took its place
 
 
@@ -38,18 +39,19 @@ def repair(
     with BagReader(source, salvage=True) as bag:
         damaged = sum(index.damaged_chunks for index in bag.indexes)
         unread = sum(index.unread_bytes for index in bag.indexes)
+        saved = sum(index.saved for index in bag.indexes)
         if bag.complete and output is None:
-            return Repair(None, bag.message_count, 0, 0, None)
+            return Repair(None, bag.message_count, 0, 0, 0, None)
         if not bag.message_count:
             raise RecordingError(
-                f"{source}: expected messages to recover, found none ({unread} bytes can't be read);"
-                " it ends before its first part (chunk) is complete"
+                f"{source}: expected messages to recover, found none"
+                + (f": {unread} bytes can't be read" if unread or damaged else ", and nothing is missing")
             )
         original = None if output is not None else _place_for_original(source)
         target = source if output is None else Path(output)
         with BagWriter(target, bag.custom_data, keep_old_as=original) as writer:
             _copy(bag, writer, progress)
-        return Repair(target, sum(writer.counts.values()), damaged, unread, original)
+        return Repair(target, sum(writer.counts.values()), damaged, unread, saved, original)
 
 
 def _copy(bag: BagReader, writer: BagWriter, progress: Progress) -> None:
