@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import yaml
+import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import Writer as Db3Writer
 from rosbags.rosbag2.enums import StoragePlugin
@@ -42,6 +43,7 @@ from tms_sim.scenario import FOLDER as SCENARIOS
 from tms_sim.scenario import load_scenario
 
 ALLOWED = (RecordingError, ParameterError)
+ZSTD = b"\x28\xb5\x2f\xfd"  # what its files start with
 COUNT = 12  # messages of a topic in a bag to start from
 CSV = b"lean_angle,lean_rate,speed,sil_command,y_acceleration,t\n" + b"0.1,-0.2,3.0,1e-3,-1,0.01\n" * 5
 
@@ -59,7 +61,7 @@ def _read_bag(data: bytes, folder: Path, name: str = "a.mcap") -> None:
     path.write_bytes(data)
     _read_all(path)
     with suppress(*ALLOWED):
-        repair(path, folder / "new")
+        repair(path, folder / f"new_{name}")
 
 
 def _read_all(path: Path) -> None:
@@ -80,6 +82,13 @@ def _read_all(path: Path) -> None:
 
 def _read_db3(data: bytes, folder: Path) -> None:
     _read_bag(data, folder, "a.db3")
+
+
+def _read_packed(data: bytes, folder: Path) -> None:
+    """A file packed as a whole; the same bytes packed well, so that damages reach what is in it."""
+    _read_bag(data, folder, "a.mcap.zstd")
+    if not data.startswith(ZSTD):
+        _read_bag(zstandard.compress(data), folder, "b.mcap.zstd")
 
 
 def _read_metadata(data: bytes, folder: Path) -> None:
@@ -153,10 +162,25 @@ def _mcap_seeds() -> list[bytes]:
         {"use_chunking": False, "enable_crcs": False},
         {"use_chunking": False, "enable_crcs": False, "index_types": IndexType.NONE, "use_statistics": False},
     ]
-    return [_mcap(options) for options in ways]
+    return [*(_mcap(options) for options in ways), *_begun_seeds()]
 
 
-def _mcap(options: dict[str, object]) -> bytes:
+def _begun_seeds() -> list[bytes]:
+    """Files that end in the middle of their only chunk, in each compression."""
+    whole = [_mcap({"compression": kind}) for kind in CompressionType]
+    return [data[: len(data) // 2] for data in whole]
+
+
+@cache
+def _packed_seeds() -> list[bytes]:
+    """Files packed as a whole, with and without their size told; one whose messages are packed."""
+    plain = _mcap({"compression": CompressionType.NONE, "enable_crcs": False})
+    telling, silent = (zstandard.ZstdCompressor(write_content_size=told) for told in (True, False))
+    messages = _mcap({"compression": CompressionType.NONE, "enable_crcs": False}, zstandard.compress)
+    return [telling.compress(plain), silent.compress(plain), messages]
+
+
+def _mcap(options: dict[str, object], pack: Callable[[bytes], bytes] = bytes) -> bytes:
     file = BytesIO()
     writer = Writer(file, **options)  # type: ignore[arg-type]
     writer.start(profile="ros2", library="seed")
@@ -165,7 +189,7 @@ def _mcap(options: dict[str, object]) -> bytes:
         if record.topic not in channels:
             schema = writer.register_schema(record.type, "ros2msg", schema_text(record.type).encode())
             channels[record.topic] = writer.register_channel(record.topic, "cdr", schema, {})
-        writer.add_message(channels[record.topic], record.time_ns, record.data, record.time_ns)
+        writer.add_message(channels[record.topic], record.time_ns, pack(record.data), record.time_ns)
     writer.add_metadata("rosbag2", {"serialized_metadata": "custom_data: {a: b}"})
     writer.add_attachment(1, 2, "a", "text/plain", b"x")
     writer.finish()
@@ -208,6 +232,7 @@ def _yaml_seeds(folder: Path) -> Callable[[], list[bytes]]:
 
 TARGETS: dict[str, Target] = {
     "mcap": Target(_mcap_seeds, _read_bag),
+    "packed": Target(_packed_seeds, _read_packed),
     "db3": Target(_db3_seeds, _read_db3),
     "metadata": Target(_metadata_seeds, _read_metadata),
     "csv": Target(

@@ -15,7 +15,8 @@ sys.path.insert(0, str(FOLDER))
 from targets import TARGETS, read  # noqa: E402
 
 FILES = {
-    "mcap": 500,
+    "mcap": 400,
+    "packed": 100,
     "db3": 100,
     "metadata": 400,
     "csv": 400,
