@@ -12,7 +12,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.10,<3.14",
-    install_requires=["setuptools", "numpy>=1.26"],
+    install_requires=["setuptools", "matplotlib>=3.6", "numpy>=1.26", "scipy>=1.11", "tqdm>=4.66"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="TMS maintainers",
