@@ -5,9 +5,13 @@ Written record by record, as the conformance files of the MCAP project are: http
 
 import itertools
 import json
+import os
 import struct
 import zlib
+from collections.abc import Sequence
+from dataclasses import replace
 from io import BytesIO
+from pathlib import Path
 
 import lz4.frame
 import pytest
@@ -66,23 +70,33 @@ def packed(compression: str, data: bytes) -> bytes:
     return {"": lambda d: d, "zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression](data)
 
 
-def conforming(messages: int, features: frozenset[str], compression: str = "", extras: bool = False) -> bytes:
+def conforming(
+    messages: int,
+    features: frozenset[str],
+    compression: str = "",
+    extras: bool = False,
+    times: Sequence[int] = range(2, 99),
+    schemaless: bool = False,
+) -> bytes:
     """A file with so many messages, perhaps an attachment and metadata (`extras`)."""
+    channel = replace(CHANNEL, schema_id=0) if schemaless else CHANNEL
+    schemas = b"" if schemaless else record(SCHEMA, b"\x01\x02\x03" if "padding" in features else b"")
+    first, last = (min(times[:messages]), max(times[:messages])) if messages else (0, 0)
     padding = b"\x01\x02\x03" if "padding" in features else b""
     out = BytesIO()
     out.write(MAGIC + record(Header("", ""), padding))
     if "unknown" in features:
         out.write(struct.pack("<BQ", 0x7E, 4) + b"abcd" + struct.pack("<BQ", 0x80, 0))
-    definitions = record(SCHEMA, padding) + record(CHANNEL, padding) if messages else b""
+    definitions = schemas + record(channel, padding) if messages else b""
     content, offsets = definitions, []
     for number in range(messages):
-        offsets.append((number + 2, len(content)))
-        content += record(Message(1, number + 2, b"\x01\x02\x03", 1, 10 + number))
+        offsets.append((times[number], len(content)))
+        content += record(Message(1, times[number], b"\x01\x02\x03", 1, 10 + number))
     summary: list[bytes] = []
     if messages and "chunked" in features:
         start = out.tell()
         chunk = Chunk(
-            compression, packed(compression, content), messages + 1, 2, zlib.crc32(content), len(content)
+            compression, packed(compression, content), last, first, zlib.crc32(content), len(content)
         )
         out.write(record(chunk))
         length, at = out.tell() - start, out.tell()
@@ -93,8 +107,8 @@ def conforming(messages: int, features: frozenset[str], compression: str = "", e
             summary.append(
                 record(
                     ChunkIndex(
-                        length, start, compression, len(chunk.data), messages + 1, out.tell() - at,
-                        index_offsets, 2, len(content),
+                        length, start, compression, len(chunk.data), last, out.tell() - at,
+                        index_offsets, first, len(content),
                     ),
                     padding,
                 )
@@ -112,15 +126,15 @@ def conforming(messages: int, features: frozenset[str], compression: str = "", e
                 summary.append(record(MetadataIndex(at, out.tell() - at, "myMetadata"), padding))
     out.write(record(DataEnd(0), padding))
     if "repeated" in features and messages:
-        summary = [record(SCHEMA, padding), record(CHANNEL, padding), *summary]
+        summary = [*([schemas] if schemas else []), record(channel, padding), *summary]
     if "statistics" in features:
-        counts, last = ({1: messages}, messages + 1) if messages else ({}, 0)
+        counts = {1: messages} if messages else {}
         chunks = int(bool(messages) and "chunked" in features)
         summary.append(
             record(
                 Statistics(
                     int(extras), int(bool(messages)), counts, chunks, messages, last,
-                    int(extras), 2 if messages else 0, int(bool(messages)),
+                    int(extras), first, int(bool(schemas and messages)),
                 ),
                 padding,
             )
@@ -162,6 +176,50 @@ def test_every_combination_of_what_a_file_may_hold_or_leave_out(tmp_path, messag
                 )
                 found = [(r.time_ns, r.publish_time_ns, r.data) for r in bag.records()]
             assert found == [(n + 2, 1, b"\x01\x02\x03") for n in range(messages)], what
+
+
+@pytest.mark.parametrize("schemaless", [False, True])
+def test_messages_out_of_order_and_of_time_0_come_in_order_and_equal_times_as_written(tmp_path, schemaless):
+    path = tmp_path / "it.mcap"
+    times = (0, 2, 1, 3, 3, 5, 4, 7, 8, 9)
+    for features in combinations():
+        path.write_bytes(conforming(10, features, times=times, schemaless=schemaless))
+        with BagReader(path) as bag:
+            assert (bag.complete, bag.message_count) == (True, 10), sorted(features)
+            assert bag.topics[0].type == ("" if schemaless else "Example")
+            assert [r.time_ns for r in bag.records()] == sorted(times), sorted(features)
+            assert [r.time_ns for r in bag.records(start_ns=3, stop_ns=5)] == [3, 3, 4]
+
+
+@pytest.fixture(scope="module")
+def their_files() -> list[Path]:
+    """The conformance files of the MCAP project, which aren't part of this one."""
+    folder = os.environ.get("TMS_MCAP_CONFORMANCE", "")
+    files = sorted(Path(folder).rglob("*.mcap")) if folder else []
+    files = [path for path in files if path.with_suffix(".json").is_file()]
+    if not files:
+        pytest.skip(
+            "no conformance files of the MCAP project here (tests/conformance/data of its repository, with"
+            " Git LFS); say where with TMS_MCAP_CONFORMANCE"
+        )
+    return files
+
+
+def test_the_files_of_the_mcap_project_are_read_as_their_json_tells(their_files):
+    for path in their_files:
+        document = json.loads(path.with_suffix(".json").read_text())
+        described = [(entry["type"], dict(entry["fields"])) for entry in document["records"]]
+        expected = sorted(
+            (
+                (int(each["log_time"]), int(each["publish_time"]), bytes(map(int, each["data"])))
+                for kind, each in described
+                if kind == "Message"
+            ),
+            key=lambda message: message[0],
+        )
+        with BagReader(path) as bag:
+            assert (bag.complete, bag.warnings, bag.message_count) == (True, (), len(expected)), path
+            assert [(r.time_ns, r.publish_time_ns, r.data) for r in bag.records()] == expected, path
 
 
 @pytest.mark.parametrize("extras", [False, True])
