@@ -21,6 +21,12 @@ class Timing:
 
     name: str
     durations: tuple[float, ...]
+    processor: tuple[float, ...] = ()  # time of all cores together [s], which other work hardly changes
+
+    @property
+    def processor_median(self) -> float:
+        """Half of the runs took less of the processor [s]."""
+        return statistics.median(self.processor)
 
     @property
     def median(self) -> float:
@@ -42,14 +48,16 @@ def in_turn(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, Ti
     Each runs once before, unmeasured.
     """
     durations: dict[str, list[float]] = {name: [] for name in ways}
+    processor: dict[str, list[float]] = {name: [] for name in ways}
     for way in ways.values():
         way()
     for _ in range(repeats):
         for name, way in ways.items():
-            start = time.perf_counter()
+            start, busy = time.perf_counter(), time.process_time()
             way()
             durations[name].append(time.perf_counter() - start)
-    return {name: Timing(name, tuple(values)) for name, values in durations.items()}
+            processor[name].append(time.process_time() - busy)
+    return {name: Timing(name, tuple(durations[name]), tuple(processor[name])) for name in ways}
 
 
 def print_timings(title: str, timings: dict[str, Timing], reference: str) -> None:

@@ -6,7 +6,6 @@ records are whole and their times are those that the chunk's head tells.
 
 from __future__ import annotations
 
-import struct
 import zlib
 from dataclasses import replace
 
@@ -15,31 +14,22 @@ import numpy as np
 import zstandard
 
 from tms_bag.reading.block import Block, begun_block_of, within
-from tms_bag.reading.frames import LARGEST_CHUNK, LARGEST_WINDOW, Frame
+from tms_bag.reading.frames import LARGEST_CHUNK, LARGEST_WINDOW, Frame, chunk_head
 
-_HEAD = struct.Struct("<QQQII")  # earliest and latest time, unpacked size, checksum, length of a name
-_LENGTH = struct.Struct("<Q")
 _PIECE = 2**14  # [bytes]
 _NO_TIMES = {(0, 0), (2**64 - 1, 0)}  # of writers that fill them in when the chunk is complete
 
 
 def begun_chunk(record: bytes) -> tuple[Block, list[Frame]]:
-    """The messages of a chunk's record without its end, and other records in it. ValueError if none is."""
-    if len(record) < _HEAD.size:
-        raise ValueError("no head of a chunk")
-    first, last, size, checksum, name_length = _HEAD.unpack_from(record)
-    start = _HEAD.size + name_length + _LENGTH.size
-    if start > len(record):
-        raise ValueError("no head of a chunk")
-    content = _unpacked(
-        record[_HEAD.size : _HEAD.size + name_length], record[start:], min(size, LARGEST_CHUNK)
-    )
-    if len(content) == size and checksum not in (0, zlib.crc32(content)):
+    """The messages of a chunk's record without its end, and other records in it. One of DAMAGE if none is."""
+    head = chunk_head(record)
+    content = _unpacked(head.compression, record[head.data_start :], min(head.size, LARGEST_CHUNK))
+    if len(content) == head.size and head.checksum not in (0, zlib.crc32(content)):
         raise ValueError("wrong checksum of a chunk")
     block, others, _ = begun_block_of(content)
-    if (first, last) in _NO_TIMES:
+    if (head.start_ns, head.end_ns) in _NO_TIMES:
         return block, others
-    wrong = np.flatnonzero(~within(block.log_time, first, last + 1))
+    wrong = np.flatnonzero(~within(block.log_time, head.start_ns, head.end_ns + 1))
     return _before(block, others, int(wrong[0])) if wrong.size else (block, others)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -61,30 +62,30 @@ def within(times: UintArray, first: int, last: int) -> NDArray[np.bool_]:
     return inside & (times < np.uint64(last)) if last < 2**64 else inside
 
 
-def block_of(content: bytes) -> tuple[Block, list[Frame]]:
-    """The messages among the records of a chunk, and all other records.
+def block_of(content: bytes, start: int = 0) -> tuple[Block, list[Frame]]:
+    """The messages among the records of a chunk, which start at a place of `content`, and all other records.
 
     ValueError if the records don't fill the content, or if a message is too short to be one.
     """
-    block, others, stop = begun_block_of(content)
+    block, others, stop = begun_block_of(content, start)
     short = next((frame for frame in others if frame.opcode == Opcode.MESSAGE), None)
     if stop != len(content) or short:
         wrong = f"message record of {short.stop - short.start} bytes" if short else f"no record at {stop}"
-        raise ValueError(f"{wrong} in {len(content)} bytes")
+        raise ValueError(f"{wrong} in {len(content) - start} bytes")
     return block, others
 
 
-def begun_block_of(content: bytes) -> tuple[Block, list[Frame], int]:
+def begun_block_of(content: bytes, start: int = 0) -> tuple[Block, list[Frame], int]:
     """Messages and all other records as far as they are complete, and where that ends.
 
     Messages that are too short to be one stand among the others.
     """
-    places, others, stop = _split(content)
+    places, others, stop = _split(content, start)
     if not places.size:
         none = np.empty(0, np.uint64)
         nowhere = np.empty(0, np.int64)
         return Block(content, nowhere, nowhere, none.astype(np.uint16), none, none), others, stop
-    head = at_places(content, places, _HEAD)
+    head = places_in(content, places).at(0, _HEAD)
     block = Block(
         content=content,
         start=places + _HEAD_SIZE,
@@ -96,33 +97,58 @@ def begun_block_of(content: bytes) -> tuple[Block, list[Frame], int]:
     return block, others, stop
 
 
-def at_places(content: bytes, places: NDArray[np.int64], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """Structures that stand at these places of `content`: a view if they are equally far apart, else a copy.
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places in `content`; whether they are equally far apart is found out once."""
 
-    ValueError if one doesn't lie within the content.
-    """
-    if not places.size:
-        return np.empty(0, kind)
-    low, high = int(places.min()), int(places.max())
-    if low < 0 or high + kind.itemsize > len(content):
-        raise ValueError(f"{kind.itemsize} bytes at {high} of {len(content)}")
-    step = int(places[1] - places[0]) if places.size > 1 else kind.itemsize
-    if places.size < 3 or bool((np.diff(places) == step).all()):
-        return np.ndarray(places.shape, kind, content, low if step > 0 else int(places[0]), (step,))
-    windows: NDArray[np.void] = np.ndarray(
-        (len(content) - kind.itemsize + 1,), np.dtype((np.void, kind.itemsize)), content, 0, (1,)
-    )
-    return windows[places].view(kind)
+    content: bytes
+    start: NDArray[np.int64]  # (n,)
+    step: int  # [bytes] from each to the next; 0: it isn't the same everywhere
+
+    def at(self, offset: int, kind: np.dtype[Any]) -> NDArray[Any]:
+        """Structures `offset` behind the places: a view if they are equally far apart, else a copy.
+
+        ValueError if one doesn't lie within the content.
+        """
+        if not self.start.size:
+            return np.empty(0, kind)
+        ends = (self.start[0], self.start[-1]) if self.step else (self.start.min(), self.start.max())
+        low, high = int(min(ends)) + offset, int(max(ends)) + offset
+        if low < 0 or high + kind.itemsize > len(self.content):
+            raise ValueError(f"{kind.itemsize} bytes at {high} of {len(self.content)}")
+        if self.step:
+            first = int(self.start[0]) + offset
+            return np.ndarray(self.start.shape, kind, self.content, first, (self.step,))
+        windows: NDArray[np.void] = np.ndarray(
+            (len(self.content) - kind.itemsize + 1,),
+            np.dtype((np.void, kind.itemsize)),
+            self.content,
+            0,
+            (1,),
+        )
+        return windows[self.start + offset].view(kind)
+
+    def chosen(self, rows: NDArray[Any]) -> Places:
+        """Some of them, by their numbers or a mask."""
+        return places_in(self.content, self.start[rows])
 
 
-def _split(content: bytes) -> tuple[NDArray[np.int64], list[Frame], int]:
-    """Where the message records start, all other records, and where the complete records end.
+def places_in(content: bytes, start: NDArray[np.int64]) -> Places:
+    """Places (n,) in `content`."""
+    if start.size < 2:
+        return Places(content, start, 1)
+    step = int(start[1] - start[0])
+    return Places(content, start, step if start.size < 3 or bool((np.diff(start) == step).all()) else 0)
+
+
+def _split(content: bytes, position: int) -> tuple[NDArray[np.int64], list[Frame], int]:
+    """Where the message records from a place on start, all others, and where the complete records end.
 
     Runs of equally long messages are found all at once, everything else record by record.
     """
     runs: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     others: list[Frame] = []
-    position, walk = 0, 0
+    walk = 0
     while True:
         if walk == 0:
             run, position = _run(content, position)

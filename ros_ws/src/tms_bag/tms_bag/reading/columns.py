@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tms_bag.errors import RecordingError
 from tms_bag.growing import Growing, Rows
-from tms_bag.reading.block import Block, at_places
+from tms_bag.reading.block import Block, Places, places_in
 from tms_bag.reading.layout import Fields, Layout, LayoutError, layout_of
 from tms_bag.samples import IntArray
 
@@ -93,20 +93,18 @@ class Collector:
         whole = Rows(self._count, rows.size)
         self._log_time.put(whole, np.minimum(block.log_time[rows], _LAST_NS))
         self._publish_time.put(whole, np.minimum(block.publish_time[rows], _LAST_NS))
-        start, size = block.start[rows], block.size[rows]
-        waiting = np.arange(rows.size)
-        while waiting.size:
-            row = int(rows[waiting[0]])
+        places, size = places_in(block.content, block.start[rows]), block.size[rows]
+        members: IntArray | None = None  # rows that wait; None: all of them
+        while size.size:
+            row = int(rows[0 if members is None else members[0]])
             shape = self._shape(block.data(row), fields, int(block.log_time[row]))
-            same = shape.fits(block.content, start[waiting], size[waiting])
-            members = None if same.all() and waiting.size == rows.size else waiting[same]
-            self._keep(
-                block.content,
-                start[waiting[same]],
-                shape.layout,
-                Rows(self._count, rows.size, members),
-            )
-            waiting = waiting[~same]
+            same = shape.fits(places, size)
+            if same.all():
+                self._keep(places, shape.layout, Rows(self._count, rows.size, members))
+                break
+            members = np.arange(rows.size) if members is None else members
+            self._keep(places.chosen(same), shape.layout, Rows(self._count, rows.size, members[same]))
+            places, size, members = places.chosen(~same), size[~same], members[~same]
         self._count += rows.size
 
     def columns(self) -> Columns:
@@ -135,9 +133,9 @@ class Collector:
 
     def _shape(self, data: bytes, fields: Fields, log_time: int) -> _Shape:
         """One that the message fits. RecordingError if it isn't of the type."""
-        place, size = np.zeros(1, np.int64), np.array([len(data)])
+        place, size = places_in(data, np.zeros(1, np.int64)), np.array([len(data)])
         for known in self._shapes:
-            if known.fields is fields and known.fits(data, place, size)[0]:
+            if known.fields is fields and known.fits(place, size)[0]:
                 return known
         try:
             shape = _shape_of(data, fields, self.type)
@@ -155,8 +153,8 @@ class Collector:
         self._shapes.insert(0, shape)
         return shape
 
-    def _keep(self, content: bytes, start: IntArray, layout: Layout, rows: Rows) -> None:
-        table = at_places(content, start, layout.columns())
+    def _keep(self, places: Places, layout: Layout, rows: Rows) -> None:
+        table = places.at(0, layout.table)
         if _SEC in layout.names and _NANOSEC in layout.names:
             self._stamp.put(rows, table[_SEC].astype(np.int64) * 10**9 + table[_NANOSEC])
         for name in layout.names:
@@ -176,14 +174,14 @@ class Collector:
             self._values[name].put(rows, values)
         for name, (first, last) in layout.texts.items():
             if self._wanted is None or name in self._wanted or name == FRAME_ID:
-                self._keep_text(name, content, start + first, last - first)
+                self._keep_text(name, places, first, last - first)
 
-    def _keep_text(self, name: str, content: bytes, start: IntArray, size: int) -> None:
+    def _keep_text(self, name: str, places: Places, start: int, size: int) -> None:
         known = self._texts.setdefault(name, {})
         if size == 0:
             known[b""] = None
         elif len(known) < MOST_SHAPES:
-            letters = at_places(content, start, np.dtype((np.bytes_, size)))
+            letters = places.at(start, np.dtype((np.bytes_, size)))
             if (letters == letters[0]).all():
                 letters = letters[:1]
             for text in dict.fromkeys(letters.tolist()):
@@ -196,16 +194,16 @@ class _Shape:
 
     fields: Fields  # the definitions it was made with
     layout: Layout
-    signs: tuple[tuple[int, str, int], ...]  # place [bytes], numpy's format, value
+    signs: tuple[tuple[int, np.dtype[Any], int], ...]  # place [bytes], format, value
 
-    def fits(self, content: bytes, start: IntArray, size: IntArray) -> NDArray[np.bool_]:
+    def fits(self, places: Places, size: IntArray) -> NDArray[np.bool_]:
         """Which of the messages at these places have this shape."""
         fitting = (size >= self.layout.size) & (size <= self.layout.size + _FILLING)
         for place, kind, value in self.signs:
             if fitting.all():
-                fitting = at_places(content, start + place, np.dtype(kind)) == value
+                fitting = places.at(place, kind) == value
             else:
-                fitting[fitting] = at_places(content, start[fitting] + place, np.dtype(kind)) == value
+                fitting[fitting] = places.chosen(fitting).at(place, kind) == value
         return fitting
 
 
@@ -213,9 +211,9 @@ def _shape_of(data: bytes, fields: Fields, type_name: str) -> _Shape:
     layout = layout_of(fields, type_name, data)
     if not layout.size <= len(data) <= layout.size + _FILLING:
         raise LayoutError(f"expected {layout.size} bytes")
-    places = [(0, "<u2"), *((place, "<u4") for place in layout.lengths)]
+    short, long = np.dtype("<u2"), np.dtype("<u4")
+    places: list[tuple[int, np.dtype[Any]]] = [(0, short), *((place, long) for place in layout.lengths)]
     signs = tuple(
-        (place, kind, int.from_bytes(data[place : place + np.dtype(kind).itemsize], "little"))
-        for place, kind in places
+        (place, kind, int.from_bytes(data[place : place + kind.itemsize], "little")) for place, kind in places
     )
     return _Shape(fields, layout, signs)

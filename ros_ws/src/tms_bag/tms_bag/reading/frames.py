@@ -16,7 +16,6 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # [bytes] opcode and length
@@ -32,6 +31,8 @@ DAMAGE = (
 LARGEST_RECORD = LARGEST_CHUNK + 2**16  # [bytes] a chunk that is not compressed, and its head
 
 _HEADER = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of the compression's name
+_LENGTH = struct.Struct("<Q")
 
 
 class Frame(NamedTuple):
@@ -70,25 +71,52 @@ def stream_of(data: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
 
 
-def chunk_content(record: bytes) -> bytes:
-    """Decompressed content of a chunk record. One of DAMAGE if its size or its checksum is wrong."""
-    chunk = Chunk.read(stream_of(record))
-    size = chunk.uncompressed_size
+class ChunkHead(NamedTuple):
+    """What stands before the data of a chunk."""
+
+    start_ns: int  # earliest log time
+    end_ns: int  # latest
+    size: int  # [bytes] unpacked
+    checksum: int  # of what is unpacked; 0: none
+    compression: bytes
+    data_start: int  # [bytes] where the data start in the record
+    data_size: int  # [bytes] of the data, packed
+
+
+def chunk_head(record: bytes) -> ChunkHead:
+    """Head of a chunk record. struct.error or ValueError if it has none."""
+    start_ns, end_ns, size, checksum, name_size = _CHUNK_HEAD.unpack_from(record)
+    name_end = _CHUNK_HEAD.size + name_size
+    (data_size,) = _LENGTH.unpack_from(record, name_end)
+    name = record[_CHUNK_HEAD.size : name_end]
+    return ChunkHead(start_ns, end_ns, size, checksum, name, name_end + _LENGTH.size, data_size)
+
+
+def chunk_content(record: bytes) -> tuple[bytes, int]:
+    """Unpacked content of a chunk record, and where in these bytes it starts.
+
+    One of DAMAGE if its size or its checksum is wrong.
+    """
+    head = chunk_head(record)
+    size, start, stop = head.size, head.data_start, head.data_start + head.data_size
     if size > LARGEST_CHUNK:
         raise ValueError(f"chunk of {size} bytes, more than {LARGEST_CHUNK}")
-    if chunk.compression == "zstd":
-        data = _unpacked_zstd(chunk.data, size)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-    elif chunk.compression == "":
-        data = chunk.data
+    if stop > len(record):
+        raise ValueError(f"{len(record) - start} bytes instead of {head.data_size}")
+    if head.compression == b"":
+        content = record if stop == len(record) else record[:stop]  # a copy takes as long as the checksum
+    elif head.compression == b"zstd":
+        content, start = _unpacked_zstd(record[start:stop], size), 0
+    elif head.compression == b"lz4":
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        content, start = decompressor.decompress(record[start:stop], max_length=size + 1), 0
     else:
-        raise ValueError(f"unknown compression {chunk.compression!r}")
-    if len(data) != size:
-        raise ValueError(f"chunk of {len(data)} bytes instead of {size}")
-    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError(f"unknown compression {head.compression[:20]!r}")
+    if len(content) - start != size:
+        raise ValueError(f"chunk of {len(content) - start} bytes instead of {size}")
+    if head.checksum not in (0, zlib.crc32(memoryview(content)[start:])):
         raise ValueError("wrong checksum of a chunk")
-    return data
+    return content, start
 
 
 def _unpacked_zstd(packed: bytes, size: int) -> bytes:

@@ -25,7 +25,7 @@ from tms_bag.reading.block import MESSAGE_HEAD, Block, begun_block_of, block_of
 from tms_bag.reading.frames import DAMAGE, HEADER_SIZE, MAGIC, Frame
 
 _FOOTER_SIZE = HEADER_SIZE + 20  # [bytes]
-_WINDOW = 2**22  # [bytes] records outside chunks are looked at in portions of this size
+_WINDOW = 2**20  # [bytes] records outside chunks are looked at in portions of this size
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ class _Builder:
         return self.index
 
     def _add_chunk(self, frame: Frame) -> None:
-        block, others = block_of(frames.chunk_content(frames.content_of(self._file, frame)))
+        block, others = block_of(*frames.chunk_content(frames.content_of(self._file, frame)))
         for opcode, start, stop in others:
             self.add_definition(opcode, block.content[start:stop])
         self._add_span(block, frame, loose=False)
@@ -285,4 +285,4 @@ def block_at(file: BinaryIO, span: Span) -> Block:
     content = frames.content_of(file, span.frame)
     if span.begun:
         return begun_chunk(content)[0]
-    return begun_block_of(content)[0] if span.loose else block_of(frames.chunk_content(content))[0]
+    return begun_block_of(content)[0] if span.loose else block_of(*frames.chunk_content(content))[0]

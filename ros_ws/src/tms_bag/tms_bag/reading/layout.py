@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,11 @@ class Layout:
     texts: dict[str, tuple[int, int]]  # where a text starts and stops, its final zero not counted
     lengths: tuple[int, ...]  # [bytes] where the lengths of texts and sequences stand, 4 bytes each
     size: int  # [bytes] of the whole message
+
+    @cached_property
+    def table(self) -> np.dtype[np.void]:
+        """The numbers as columns of a table whose rows are the messages."""
+        return self.columns()
 
     def columns(self, before: int = 0, itemsize: int = 0) -> np.dtype[np.void]:
         """The numbers as columns of a table, whose rows have `before` bytes before the message."""
