@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-import re
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,17 @@ def calls(path: Path, name: str) -> list[dict[str, ast.expr]]:
     return found
 
 
+def executables(path: Path) -> list[tuple[str, str]]:
+    """Packages and executables, which stand together at the head of a tuple."""
+    return [
+        (first.value, second.value)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Tuple) and len(node.elts) == 3
+        for first, second in [node.elts[:2]]
+        if isinstance(first, ast.Constant) and isinstance(second, ast.Constant)
+    ]
+
+
 def test_there_are_some() -> None:
     assert {path.name for path in FILES} >= {"experiment.launch.py", "replay.launch.py"}
 
@@ -35,10 +45,11 @@ def test_it_is_installed_and_starts_nodes_that_exist(path: Path) -> None:
     compile(path.read_text(encoding="utf-8"), str(path), "exec")
     package = path.parents[1].name
     assert f'"launch/{path.name}"' in (SOURCES / package / "setup.py").read_text()
-    for node in calls(path, "Node"):
-        where, what = ast.literal_eval(node["package"]), ast.literal_eval(node["executable"])
+    started = executables(path)
+    assert started
+    for where, what in started:
         scripts = (SOURCES / where / "setup.py").read_text()
-        assert re.search(rf'"{what} = {where}\.nodes\.\w+:main"', scripts)
+        assert f'"{what} = {where}.nodes.executables:{what}"' in scripts
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -29,6 +29,9 @@ setup(
     description="Recordings as rosbag2 MCAP bags: read, write, import CSV, repair; recorder and player.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["recorder = tms_bag.nodes.recorder:main", "player = tms_bag.nodes.player:main"]
+        "console_scripts": [
+            "recorder = tms_bag.nodes.executables:recorder",
+            "player = tms_bag.nodes.executables:player",
+        ]
     },
 )

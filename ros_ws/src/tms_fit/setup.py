@@ -28,5 +28,5 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Strikes, initial lean rate by least squares and Kalman smoothing, Figure 3B.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["estimator = tms_fit.nodes.estimator:main"]},
+    entry_points={"console_scripts": ["estimator = tms_fit.nodes.executables:estimator"]},
 )

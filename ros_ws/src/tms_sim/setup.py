@@ -36,5 +36,5 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Simulated runs of bicycles and the simulator node.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["simulator = tms_sim.nodes.simulator:main"]},
+    entry_points={"console_scripts": ["simulator = tms_sim.nodes.executables:simulator"]},
 )

@@ -71,7 +71,7 @@ def add_play(commands: Any) -> None:
     flag("--wait-timeout", type=float, default=30.0, metavar="S", help="longest wait (default 30)")
     text = "go no faster than the estimator (or who reports on --handled-topics) handles the messages"
     flag("--lossless", action="store_true", help=text)
-    flag("--handled-topics", nargs="+", default=[], metavar="NAME", help="default: /estimator/handled")
+    flag("--handled-topics", nargs="+", default=[], metavar="NAME", help="default: estimator/handled")
 
 
 def record(arguments: argparse.Namespace) -> None:
@@ -120,7 +120,8 @@ def qos_overrides(path: Path) -> dict[str, object]:
 
 def _become(name: str, parameters: dict[str, Any], remaps: Sequence[str] = ()) -> None:
     """Become the node, so that signals and the exit code are the node's."""
-    arguments = [sys.executable, "-m", f"tms_bag.nodes.{name}", "--ros-args", *remaps]
+    module = f"tms_bag.nodes.{name}"
+    arguments = [sys.executable, "-m", "tms_bag.nodes.starting", module, "--ros-args", *remaps]
     for key, value in parameters.items():
         if value not in ([], ""):  # an empty list has no type for ROS; the node's default is empty
             arguments += ["-p", f"{key}:={json.dumps(value)}"]

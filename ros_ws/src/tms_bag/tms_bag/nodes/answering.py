@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from threading import Thread
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+
+from tms_bag.nodes.process import RCLError
 
 
 class Answering:
@@ -28,6 +29,11 @@ class Answering:
             self._thread.join()
 
     def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
+        try:
             self._executor.add_node(self._node)
             self._executor.spin()
+        except ExternalShutdownException:
+            pass
+        except RCLError:
+            if self._node.context.ok():  # else a signal came while a service or the report was at work
+                raise

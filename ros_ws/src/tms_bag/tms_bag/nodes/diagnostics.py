@@ -22,7 +22,7 @@ def report_every_second(node: Node, report: Callable[[], Report]) -> None:
             level=DiagnosticStatus.OK if well else DiagnosticStatus.WARN,
             name=f"{node.get_fully_qualified_name()}",
             message=message,
-            hardware_id="tms_bag",
+            hardware_id=node.get_name(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from tms_msgs.msg import Handled
 
 from tms_bag.errors import RecordingError
+from tms_bag.nodes.consumers import LATEST, Consumers
 
 PERIOD = 0.05  # [s] at the latest
 EVERY = 20  # [messages] so many may be handled before it is said
-LATEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class HandledReport:
@@ -51,20 +50,21 @@ class HandledReport:
 
 
 class Window:
-    """Lets only so many messages be under way to the nodes that report on `topics`."""
+    """Lets only so many messages be under way to the consumers. Topics have the names they are sent by."""
 
-    def __init__(self, node: Node, topics: Sequence[str], size: int, patience: float) -> None:
-        self._size, self._patience, self._topics = size, patience, list(topics)
-        self._handled: dict[str, Counter[str]] = {}  # by reporting topic
-        self._before: dict[str, Counter[str]] = {}  # when the replay began
+    def __init__(self, consumers: Consumers, size: int, patience: float) -> None:
+        self._consumers, self._size, self._patience = consumers, size, patience
+        self._before: dict[str, Counter[str]] = {}  # handled when the replay began
         self._sent: Counter[str] = Counter()
-        for topic in topics:
-            node.create_subscription(Handled, topic, self._hearer(topic), LATEST)
 
-    def begin(self, between: Any) -> None:
-        """Wait until every node has reported. RecordingError after the patience [s]."""
-        self._wait(lambda: len(self._handled) == len(self._topics), between)
-        self._before = {topic: Counter(counts) for topic, counts in self._handled.items()}
+    def begin(self, publishers: Iterable[Any], between: Any) -> None:
+        """Wait until every consumer has reported and is known to all publishers that it wants to hear.
+
+        RecordingError after the patience [s].
+        """
+        sources = list(publishers)
+        self._wait(lambda: not self._consumers.lacking(sources), between)
+        self._before = {topic: Counter(counts) for topic, counts in self._consumers.handled.items()}
 
     def count(self, topic: str) -> None:
         """A message has been sent."""
@@ -82,7 +82,7 @@ class Window:
         """Messages that the slowest of the nodes that want the topic has not handled."""
         open_ = [
             self._sent[topic] - counts[topic] + self._before[reporter][topic]
-            for reporter, counts in self._handled.items()
+            for reporter, counts in self._consumers.handled.items()
             if topic in counts
         ]
         return max(open_, default=0)
@@ -96,17 +96,11 @@ class Window:
             if time.monotonic() > deadline:
                 open_ = {topic: n for topic in self._sent if (n := self._under_way(topic))}
                 raise RecordingError(
-                    f"expected {', '.join(self._topics)} to say what has been handled, found nothing new for"
-                    f" {self._patience:g} s (under way: {open_ or 'nothing'}); is the consumer running?"
+                    f"expected {', '.join(self._consumers.topics)} to say what has been handled, found"
+                    f" nothing new for {self._patience:g} s (under way: {open_ or 'nothing'});"
+                    " is the consumer running?"
                 )
             time.sleep(0.0005)
 
     def _progress(self) -> int:
-        return sum(sum(counts.values()) for counts in self._handled.values())
-
-    def _hearer(self, reporter: str) -> Any:
-        def hear(message: Handled) -> None:
-            counts: Mapping[str, int] = dict(zip(message.topics, message.counts, strict=False))
-            self._handled[reporter] = Counter(counts)
-
-        return hear
+        return sum(sum(counts.values()) for counts in list(self._consumers.handled.values()))

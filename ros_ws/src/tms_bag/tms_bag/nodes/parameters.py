@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -34,7 +35,9 @@ def declare(
         return node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         expected = f"expected {description}" + (f", from {low:g} to {high:g}" if low is not None else "")
-        raise ParameterError(f"parameter {name}: {expected}; {error}") from error
+        without_point = isinstance(default, float) and "'INTEGER'" in str(error)
+        hint = "; with a decimal point it is a DOUBLE" if without_point else ""
+        raise ParameterError(f"parameter {name}: {expected}; {error}{hint}") from error
 
 
 def refuse_unknown_parameters(node: Node) -> None:
@@ -52,15 +55,15 @@ def refuse_unknown_parameters(node: Node) -> None:
         raise ParameterError(f"unknown parameter {', '.join(unknown)}: expected of {', '.join(own)}")
 
 
-def declare_texts(node: Node, name: str, description: str) -> list[str]:
+def declare_texts(node: Node, name: str, description: str, default: Sequence[str] = ()) -> list[str]:
     """Declare a list of texts, return those that aren't empty."""
     # An empty list has no type for ROS; a list of one empty text stands for it.
-    return [value for value in declare(node, name, [""], description) if value]
+    return [value for value in declare(node, name, list(default) or [""], description) if value]
 
 
-def declare_names(node: Node, name: str, description: str) -> list[str]:
+def declare_names(node: Node, name: str, description: str, default: Sequence[str] = ()) -> list[str]:
     """Declare a list of topic names, return their full names. ParameterError if one can't be a name."""
-    values = declare_texts(node, name, description)
+    values = declare_texts(node, name, description, default)
     try:
         return [node.resolve_topic_name(value) for value in values]
     except Exception as error:  # rclpy raises classes of its C++ part, which have no common base

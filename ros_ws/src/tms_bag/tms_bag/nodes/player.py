@@ -12,6 +12,7 @@ from rclpy.node import Node
 from tms_bag.nodes import publishing
 from tms_bag.nodes.answering import Answering
 from tms_bag.nodes.clock_ticks import ClockTicks
+from tms_bag.nodes.consumers import Consumers
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.handled import Window
 from tms_bag.nodes.parameters import refuse_unknown_parameters
@@ -33,9 +34,11 @@ class Player(Node):
         self._transport = Transport(its.start_ns, self._rate, its.start_paused)
         self._ticks = ClockTicks(self, self._transport, its.clock_period)
         left_out = ("/clock",) if its.clock_period else ()
+        consumers = Consumers(self, its.handled_topics if its.lossless else ())
+        left_out += consumers.topics  # what they said when the bag was recorded isn't what they say now
         self._playing = publishing.make_publishers(self, its.bag, its.selection, left_out)
         refuse_unknown_parameters(self)
-        window = Window(self, its.handled_topics, its.window, its.wait_timeout) if its.lossless else None
+        window = Window(consumers, its.window, its.wait_timeout) if its.lossless else None
         self._sending = Sending(self._playing, window, self._transport, self._between)
         offer_services(self, self._transport, its.start_ns, its.end_ns)
         self.add_post_set_parameters_callback(lambda changed: self._transport.set_rate(self._rate))

@@ -55,8 +55,8 @@ def declare_player_settings(node: Node) -> PlayerSettings:
     )
     lossless = declare(node, "lossless", False, "send no faster than handled_topics say it is handled")
     window = declare(node, "window", 500, "messages of a topic under way when lossless", 1, 100_000)
-    handled = declare(
-        node, "handled_topics", ["/estimator/handled"], "where consumers say what they have handled"
+    handled = declare_names(
+        *(node, "handled_topics", "where consumers say what they have handled", ["estimator/handled"])
     )
     if not path:
         raise RecordingError("parameter bag: expected the path of a bag, found nothing; say -p bag:=PATH")

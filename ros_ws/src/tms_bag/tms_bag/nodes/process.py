@@ -6,12 +6,14 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Protocol
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
+from rclpy.utilities import remove_ros_args
 from tms_model import ParameterError
 
 from tms_bag.errors import RecordingError
@@ -38,6 +40,9 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
     """
     caught = _catch_signals()
     try:
+        if _wants_help(args):
+            print(_usage(create))
+            return 0
         refuse_without_security(args)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except (*BAD_ARGUMENTS, ParameterError) as error:
@@ -62,6 +67,27 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
     finally:
         code = _close(node, code)
     return code
+
+
+def _wants_help(args: list[str] | None) -> bool:
+    """Whether help is asked for. ParameterError for other arguments that aren't ROS's, which ROS ignores."""
+    words = remove_ros_args(args)[1 if args is None else 0 :]
+    if words and words[0] not in ("-h", "--help"):
+        raise ParameterError(
+            f"unexpected argument {words[0]!r}: parameters and remaps stand behind --ros-args,"
+            " as in --ros-args -p NAME:=VALUE"
+        )
+    return bool(words)
+
+
+def _usage(create: Callable[[], Runnable]) -> str:
+    name = Path(sys.argv[0]).name
+    return f"""usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]
+
+{create.__doc__}
+
+docs/nodes.md lists its parameters, topics and services; so do, while it runs,
+`ros2 param describe /{name} NAME` and `ros2 node info /{name}`."""
 
 
 def _catch_signals() -> list[int]:

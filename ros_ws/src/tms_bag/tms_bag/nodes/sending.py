@@ -32,15 +32,16 @@ class Sending:
     def begin(self) -> None:
         """Wait for the consumers, if there is a window. RecordingError if they don't come."""
         if self._window:
-            self._window.begin(self._between)
+            self._window.begin(self._publishers.values(), self._between)
 
     def send(self, record: Record, late: float | None) -> None:
         """Publish a message that is so late [s]; None: it belongs to no time, and isn't late."""
+        publisher = self._publishers[record.topic]
         if self._window:
-            self._window.wait_for_room(record.topic, self._between)
-            self._window.count(record.topic)
+            self._window.wait_for_room(publisher.topic_name, self._between)
+            self._window.count(publisher.topic_name)
             self._transport.stand_at(record.time_ns)
-        self._publishers[record.topic].publish(record.data)
+        publisher.publish(record.data)
         self.count += 1
         if late is not None:
             self.delays.add(late)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rclpy.node import Node
-from tms_bag.nodes.parameters import declare
+from tms_bag.nodes.parameters import declare, declare_names
 from tms_model import ParameterError
 
 from tms_sim.keys import KEYS
@@ -21,6 +21,7 @@ class Settings:
     autostart: bool
     stay: bool  # go on answering services after the run's end
     wait_for_subscribers: int  # of each topic
+    handled_topics: tuple[str, ...]  # of consumers to wait for
     wait_timeout: float  # [s]
 
 
@@ -45,7 +46,12 @@ def declare_settings(node: Node) -> Settings:
         wait_for_subscribers=declare(
             node, "wait_for_subscribers", 0, "subscribers of each topic to wait for", 0, 100
         ),
-        wait_timeout=declare(node, "wait_timeout", 30.0, "longest wait for subscribers [s]", 0.0, 3600.0),
+        handled_topics=tuple(
+            declare_names(node, "handled_topics", "where consumers to wait for say what they hear")
+        ),
+        wait_timeout=declare(
+            node, "wait_timeout", 30.0, "longest wait for subscribers and consumers [s]", 0.0, 3600.0
+        ),
     )
     if settings.own_clock:
         return settings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from typing import Any
 
 import rclpy
@@ -12,13 +11,14 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from tms_bag import Record, RecordingError, topics
+from tms_bag import Record, topics
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import OVERRIDABLE, clock_message, message_class, offered_profile
 from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
 
 from tms_sim.live_run import LiveRun
+from tms_sim.nodes.audience import Audience
 from tms_sim.nodes.controls import Controls
 from tms_sim.nodes.display import Display, make_display
 from tms_sim.nodes.settings import Settings, declare_settings
@@ -48,6 +48,7 @@ class Simulator(Node):
             )
             for record in {record.topic: record for record in self._live.records}.values()
         }
+        self._audience = Audience(self, self._settings)
         self._display: Display | None = make_display(self, self._live.run)
         self._controls = Controls(self, self._live, self._settings.autostart, self._changed)
         refuse_unknown_parameters(self)
@@ -56,7 +57,7 @@ class Simulator(Node):
 
     def run(self) -> None:
         """Publish the whole run, at its pace."""
-        self._wait_for_subscribers()
+        self._audience.wait(self._outputs.values())
         self.get_logger().info(f"simulating {len(self._live.records)} messages")
         self._before = self._pace.now()
         self.create_timer(TICK, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -68,17 +69,6 @@ class Simulator(Node):
 
     def close(self) -> None:
         """Nothing is left behind."""
-
-    def _wait_for_subscribers(self) -> None:
-        wanted, patience = self._settings.wait_for_subscribers, self._settings.wait_timeout
-        deadline = time.monotonic() + patience
-        while lacking := [t for t, p in self._outputs.items() if p.get_subscription_count() < wanted]:
-            if time.monotonic() > deadline:
-                raise RecordingError(
-                    f"expected {wanted} subscribers of each topic within {patience:g} s, found"
-                    f" fewer of {', '.join(lacking)}; start them, or set wait_for_subscribers to 0"
-                )
-            rclpy.spin_once(self, timeout_sec=0.02)
 
     def _advance(self) -> None:
         """Publish what has become due since the last look."""
