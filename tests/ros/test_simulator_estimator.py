@@ -100,7 +100,7 @@ def test_a_lossless_replay_as_fast_as_it_goes_gives_the_answer_of_the_offline_fi
     listener = nodes.start(
         "tms_bag", "recorder", "-p", f"output:={tmp_path / 'live'}", "-p", "topics:=[estimate,filter_state]"
     )
-    estimator = nodes.start("tms_fit", "estimator", "-p", "idle:=0.5")
+    estimator = nodes.start("tms_fit", "estimator", "-p", "idle:=5.0")
     for topic in ("estimate", "filter_state"):
         nodes.wait_for("recorder", f"recording /{topic}")
     parameters = [f"bag:={tmp_path / 'bag'}", "rate:=1000.0", "lossless:=true", f"window:={window}"]
