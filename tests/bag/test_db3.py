@@ -1,6 +1,7 @@
 """Bags in sqlite3, as ROS 2 recorded before Iron, and as the rosbags library writes them."""
 
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -96,3 +97,43 @@ def test_a_damaged_database_is_told(db3_bag):
     file.write_bytes(content)
     with pytest.raises(RecordingError, match=r"sqlite3|damaged"):
         read_recording(db3_bag)
+
+
+@pytest.mark.parametrize("name", ["run #3", "what?", "100%20", "ü b"])
+def test_a_folder_may_be_called_as_one_likes(db3_bag, name):
+    assert read_recording(db3_bag.rename(db3_bag.with_name(name))).imu.time_ns.size == 300
+
+
+def test_messages_that_a_killed_recorder_had_not_brought_into_the_file_are_read(db3_bag, tmp_path):
+    """As rosbag2's preset `resilient` writes: into a log beside the file, from which they are taken over later."""
+    (file,) = db3_bag.glob("*.db3")
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        (topic,) = database.execute("SELECT id FROM topics WHERE name = '/imu/data_raw'").fetchone()
+        (last,) = database.execute("SELECT max(timestamp) FROM messages").fetchone()
+        rows = database.execute("SELECT data FROM messages WHERE topic_id = ?", (topic,)).fetchall()
+        for number, (data,) in enumerate(rows[:50]):
+            row = (topic, last + 1 + number, data)
+            database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
+        database.commit()
+        killed = tmp_path / "killed"
+        killed.mkdir()
+        for path in db3_bag.glob("*.db3*"):
+            (killed / path.name).write_bytes(path.read_bytes())
+    before = {path.name: path.read_bytes() for path in killed.iterdir()}
+    assert any(name.endswith("-wal") for name in before)
+    with BagReader(killed) as bag:
+        assert next(topic.count for topic in bag.topics if topic.name == "/imu/data_raw") == 350
+        assert "this file is unfinished" in bag.warnings[0]
+        assert not bag.complete
+    assert {path.name: path.read_bytes() for path in killed.iterdir()} == before
+    assert repair(killed, tmp_path / "new").message_count == 350 + 60
+
+
+def test_a_log_that_is_none_beside_the_file_changes_nothing(db3_bag):
+    (file,) = db3_bag.glob("*.db3")
+    for end in ("-wal", "-journal"):
+        file.with_name(file.name + end).write_bytes(bytes(100) + b"no log of sqlite" * 99)
+    with BagReader(db3_bag) as bag:
+        assert bag.message_count == 360

@@ -14,9 +14,9 @@ from rosbags.rosbag2 import Reader
 from tms_bag.channel import Channel, installed_channel
 from tms_bag.errors import RecordingError
 from tms_bag.reading.block import Block
+from tms_bag.reading.db3_file import left_beside, with_name
 from tms_bag.reading.frames import LARGEST_CHUNK, Frame
 from tms_bag.reading.index import FileIndex, Span
-from tms_bag.reading.packed_file import with_name
 
 PART, PART_SIZE = 4096, 2**22  # messages and [bytes] in a part, on the average
 MOST_READ = 4 * LARGEST_CHUNK  # [bytes] of a part, whose messages may come in bursts
@@ -71,7 +71,7 @@ class Db3Source:
 
     def _index(self) -> FileIndex:
         reader = self._reader
-        index = FileIndex(complete=True)
+        index = FileIndex(complete=not left_beside(self.path))
         for connection in reader.connections:
             index.channels[connection.id] = _channel(connection)
             index.counts[connection.id] = connection.msgcount

@@ -1,14 +1,13 @@
 """Files that rosbag2 packed as a whole (`--compression-mode file`): unpacked into a temporary file.
 
-The file has no name, or loses it before anything is read from it: whatever ends the program, nothing is left.
+The file has no name: whatever ends the program, nothing is left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
-from typing import BinaryIO, TypeVar
+from tempfile import TemporaryFile
+from typing import BinaryIO
 
 import zstandard
 
@@ -19,8 +18,6 @@ SUFFIX = ".zstd"
 MOST_TIMES = 1000  # that a file may be larger than it is packed, some MiB aside; recordings are 2 to 50 times
 _FREE = 2**26  # [bytes] that may be unpacked from any file
 _PIECE = 2**20  # [bytes]
-
-Opened = TypeVar("Opened")
 
 
 def is_packed(path: Path) -> bool:
@@ -42,7 +39,7 @@ def opened(path: Path) -> BinaryIO:
         return path.open("rb")
     file = TemporaryFile()  # noqa: SIM115  # whoever asked for it closes it
     try:
-        _unpack(path, file)
+        unpack(path, file)
         file.seek(0)
     except BaseException:
         file.close()
@@ -50,18 +47,7 @@ def opened(path: Path) -> BinaryIO:
     return file
 
 
-def with_name(path: Path, read: Callable[[Path], Opened]) -> Opened:
-    """What `read` makes of the file, for readers that need a name; it is gone when they have opened it."""
-    if not is_packed(path):
-        return read(path)
-    with TemporaryDirectory(prefix="tms_bag_") as folder:
-        unpacked = Path(folder) / path.stem
-        with unpacked.open("wb") as file:
-            _unpack(path, file)
-        return read(unpacked)
-
-
-def _unpack(path: Path, out: BinaryIO) -> None:
+def unpack(path: Path, out: BinaryIO) -> None:
     """As far as the packed file goes: one that is cut short is as an unfinished one that isn't packed."""
     with path.open("rb") as packed:
         most = _FREE + MOST_TIMES * path.stat().st_size

@@ -300,10 +300,12 @@ def _unfinished(file: McapSource | Db3Source) -> str:
     until = f"messages until {index.time_range[1]} ns are here" if index.time_range else "no message is here"
     damaged = f", {index.damaged_chunks} damaged parts are left out" if index.damaged_chunks else ""
     saved = f", {index.saved} messages saved from it" if index.saved else ", which can't be read"
+    cut = (
+        f", {index.unread_bytes} bytes at its end are an incomplete part{saved}" if index.unread_bytes else ""
+    )
     return (
-        f"{file.path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until},"
-        f" {index.unread_bytes} bytes at its end are an incomplete part{saved}{damaged};"
-        " `tms bag repair` makes a clean bag of it"
+        f"{file.path}: this file is unfinished: its recorder was killed, or the copy is cut short; {until}"
+        f"{cut}{damaged}; `tms bag repair` makes a clean bag of it"
     )
 
 
