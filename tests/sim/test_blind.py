@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +117,43 @@ def test_an_old_truth_is_not_left_beside_a_new_bag(bag: Path, command: Any, refu
     moved.rename(bag)
     assert command("tms_sim", "run", "gym_run", "-o", bag, "--force").code == 0
     assert not truth.exists()
+
+
+# Ends the process right before the n-th name on the disk is changed, as a power failure would.
+KILLED = """
+import os, signal, sys
+left = [int(sys.argv.pop(1))]
+def look(event, arguments):
+    if event in ("os.rename", "os.remove"):
+        left[0] -= 1
+        if left[0] < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(look)
+from tms_sim.__main__ import main
+main(sys.argv[1:])
+"""
+SHORT: dict[str, Any] = {"duration": 2.0, "strike.time": 1.0}
+
+
+# 0: before the old bag is put away; 1: before its truth is replaced or removed; 2: before the new bag gets
+# its name; 3: after that.
+@pytest.mark.parametrize("steps", range(4))
+@pytest.mark.parametrize("replacing", [(), ("--blind",)], ids=["by a run with its truth", "by a blind run"])
+def test_a_kill_at_any_time_leaves_no_blind_bag_without_its_truth(
+    steps: int, replacing: tuple[str, ...], command: Any, tmp_path: Path
+) -> None:
+    bag, truth = tmp_path / "run", tmp_path / "run.truth.json"
+    short = ["tms_strike", *(word for key, value in SHORT.items() for word in ("--set", f"{key}={value}"))]
+    assert command("tms_sim", "run", *short, "-o", bag, "--blind", "--seed", "1").code == 0
+    again = ["run", *short, "-o", str(bag), "--seed", "2", "--force", *replacing]
+    killed = subprocess.run([sys.executable, "-B", "-c", KILLED, str(steps), *again], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert bag.exists() == (steps in (0, 3))
+    if bag.exists():
+        found = read_recording(bag)
+        blind = "seed" not in found.custom_data
+        assert blind == (steps == 0 or bool(replacing))
+        assert truth.exists() == blind
+        seed = json.loads(truth.read_text())["seed"] if blind else 2
+        run = simulate(load_scenario("tms_strike", SHORT), np.random.default_rng(seed))
+        np.testing.assert_array_equal(found.imu.angular_velocity, run.imu.angular_velocity)

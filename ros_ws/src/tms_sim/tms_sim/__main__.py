@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from tms_bag import BagWriter, RecordingError, topics
+from tms_bag import BagWriter, Record, RecordingError, topics
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
 
-from tms_sim.blind import blind_custom_data, blind_records, blinded, truth_path, write_truth
+from tms_sim.blind import (
+    blind_custom_data,
+    blind_records,
+    blinded,
+    truth_path,
+    truth_text,
+    write_truth,
+)
 from tms_sim.fault_command import fault, fault_arguments
 from tms_sim.run import simulate
 from tms_sim.scenario import description, load_scenario, parse_change, scenario_names
@@ -86,21 +94,27 @@ def _run(arguments: argparse.Namespace) -> None:
     if truth.exists() and not arguments.force:
         raise RecordingError(f"{truth}: exists already; choose another bag, or replace both with --force")
     if arguments.blind:
-        told = blinded(result, scenario)
-        records, custom_data = blind_records(told), blind_custom_data(told.info)
-    else:
-        records, custom_data = result.records(), result.custom_data()
-    with BagWriter(arguments.output, custom_data=custom_data, overwrite=arguments.force) as bag:
-        for record in records:
-            bag.write(record, topics.QOS[record.topic.removeprefix("/")])
-    truth.unlink(missing_ok=True)  # of the bag that this one replaces
-    if arguments.blind:
-        write_truth(result, scenario, arguments.output)
+        told, text = blinded(result, scenario), truth_text(result, scenario)
+        _write(
+            arguments, blind_records(told), blind_custom_data(told.info), partial(write_truth, text, truth)
+        )
         return
+    _write(arguments, result.records(), result.custom_data(), partial(truth.unlink, missing_ok=True))
     if result.fallen_at is not None:
         print(
             f"the bicycle falls {result.fallen_at:.2f} s after the start; the run ends there", file=sys.stderr
         )
+
+
+def _write(
+    arguments: argparse.Namespace,
+    records: Iterable[Record],
+    custom_data: dict[str, str],
+    beside: Callable[[], None],  # so that no bag stands beside another's truth, and no blind one without
+) -> None:
+    with BagWriter(arguments.output, custom_data, overwrite=arguments.force, beside=beside) as bag:
+        for record in records:
+            bag.write(record, topics.QOS[record.topic.removeprefix("/")])
 
 
 if __name__ == "__main__":

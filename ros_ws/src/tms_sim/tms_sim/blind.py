@@ -60,20 +60,25 @@ def blind_custom_data(info: RunInfo) -> dict[str, str]:
     return {"configuration": info.configuration, "source": info.source, "version": info.version}
 
 
-def write_truth(run: SimulatedRun, scenario: Scenario, bag: str | os.PathLike[str]) -> Path:
-    """Write the truth of a run beside its bag, whole or not at all. Raises RecordingError."""
-    path = truth_path(bag)
+def truth_text(run: SimulatedRun, scenario: Scenario) -> str:
+    """The truth of a run, as JSON."""
+    return json.dumps(_document(run, scenario), indent=1, allow_nan=False) + "\n"
+
+
+def write_truth(text: str, path: Path) -> None:
+    """Write the truth of a run to a file, whole or not at all. Raises RecordingError."""
     partial = path.with_name(path.name + ".part")
-    text = json.dumps(_document(run, scenario), indent=1, allow_nan=False)
     try:
-        partial.write_text(text + "\n", encoding="utf-8")
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())  # the bag's name must not come before its truth
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise RecordingError(
             f"{path}: expected a place to write the truth to, found: {error.strerror}"
         ) from error
-    return path
 
 
 def _document(run: SimulatedRun, scenario: Scenario) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from tms_bag.errors import RecordingError
@@ -53,19 +54,23 @@ class Destination:
             sync_folder(made.parent)
         return self._folder
 
-    def keep(self) -> None:
-        """Move the finished folder to its place."""
+    def keep(self, beside: Callable[[], None] | None = None) -> None:
+        """Move the finished folder to its place; `beside` is called while nothing stands there."""
         if self._folder == self.path:
             return
         old = self._keep_old_as or self.path.with_name(f".{self.name}.{os.getpid()}.replaced")
         if self._replaces:
             self.path.rename(old)
         try:
+            if beside:
+                beside()
+        except BaseException:
+            self._put_back(old)
+            raise
+        try:
             self._folder.rename(self.path)
         except OSError as error:
-            if self._replaces:
-                old.rename(self.path)
-            self.discard()
+            self._put_back(old)
             raise RecordingError(
                 f"{self.path}: something else was put there while the bag was written ({error.strerror});"
                 " run it again"
@@ -73,6 +78,11 @@ class Destination:
         sync_folder(self.path.parent)
         if self._replaces and old != self._keep_old_as:
             shutil.rmtree(old, ignore_errors=True)
+
+    def _put_back(self, old: Path) -> None:
+        if self._replaces:
+            old.rename(self.path)
+        self.discard()
 
     def discard(self) -> None:
         """Remove what was made."""

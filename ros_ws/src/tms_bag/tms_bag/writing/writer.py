@@ -7,7 +7,7 @@ in.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -44,7 +44,9 @@ class BagWriter:
     Written beside `path` and renamed to it at a clean end: after an exception nothing is left. With `live` it
     is written in place, and kept as far as it got whatever happens; `flush` then bounds what can be lost.
     RecordingError if `path` exists; with `overwrite` an existing bag (and nothing but a bag) is replaced,
-    with `keep_old_as` whatever is there is moved to that path. `preset` is one of PRESETS.
+    with `keep_old_as` whatever is there is moved to that path. `preset` is one of PRESETS. `beside` is called
+    when the bag is complete, before it stands at `path`, while nothing else does: whatever belongs beside a
+    bag is there before the bag is. If it raises, all is as it was before.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class BagWriter:
         keep_old_as: Path | None = None,
         preset: str = "zstd",
         splitting: Splitting = NEVER,
+        beside: Callable[[], None] | None = None,
     ) -> None:
         self.path = Path(path)
         self.custom_data = dict(custom_data or {})
@@ -66,6 +69,7 @@ class BagWriter:
         self._destination = Destination(
             self.path, overwrite=overwrite, in_place=live, keep_old_as=keep_old_as
         )
+        self._beside = beside
         self._channels: dict[str, Channel] = {}
         self._counts: dict[str, int] = {}
         self._files: list[metadata.FileInformation] = []  # those that are finished
@@ -101,7 +105,7 @@ class BagWriter:
             if not self.live:
                 self._destination.discard()
             raise
-        self._destination.keep()
+        self._destination.keep(self._beside)
 
     def add_channel(self, channel: Channel) -> None:
         """Announce a topic. Without messages it stands in the bag with a count of 0."""
