@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from tms_sim.scenario import load_scenario
-from tms_study.bound import Experiment, bound, table
+from tms_study.bound import Experiment, bound, planned, table
 
 # Eq. (10.1), 3.6 m/s constant, initial lean rate 0.5 rad/s, 100 Hz for 4 s, white noise of 0.02 rad/s:
 # computed with independent code, two implementations agreed.
@@ -72,3 +73,11 @@ def test_command(command: Any, refused: Any) -> None:
     assert "Cramer-Rao" in text
     assert "free: unknown 'lean'" in refused("tms_study", "bound", "tms_strike", "--free", "lean")
     assert "expected a sensor with noise" in refused("tms_study", "bound", "tms_strike_ideal")
+
+
+def test_every_tenth_sample_of_a_fast_sensor_has_the_noise_of_a_fast_one() -> None:
+    # sqrt(10) times the noise that a sensor has which averages down to its output rate.
+    slow = planned(load_scenario("tms_strike"))
+    picked = planned(load_scenario("tms_strike", {"imu.raw_rate": 1000.0}))
+    assert (picked.rate, slow.rate) == (100.0, 100.0)
+    assert picked.noise == pytest.approx(math.sqrt(10.0) * slow.noise, rel=1e-12)

@@ -14,7 +14,7 @@ from tms_bag import BagWriter, conversion, read_recording, topics
 from tms_model import ParameterError
 from tms_model.frames import quaternion
 from tms_model.imu import ideal_imu
-from tms_sim.blind import write_truth
+from tms_sim.blind import truth_text
 from tms_sim.fault_injection import inject, parse_requests
 from tms_sim.imu_grade import load_imu
 from tms_sim.run import SimulatedRun, simulate
@@ -86,6 +86,48 @@ def test_the_sensors_own_lean_is_told_and_levels_its_yaw_rate() -> None:
     assert 0.001 < np.abs(error).max() < 0.1  # turning pulls it off, but not far within these seconds
     assert not np.array_equal(own.lean_yaw.yaw_rate, true.lean_yaw.yaw_rate)
     np.testing.assert_array_equal(own.lean_yaw.lean_rate, true.lean_yaw.lean_rate)
+
+
+def test_slower_topics_hold_every_tenth_sample_of_the_raw_one() -> None:
+    # The sensor works at 1 kHz in both: same noise, same orientation, same losses.
+    changes = {"faults": "none", "padding__natural_frequency": 0.0, "steer_torque__lean_rate_gain": 1.0}
+    mixed: Any = everything(imu__raw_rate=1000.0, **changes)
+    fast: Any = everything(imu__rate=1000.0, **changes)
+    assert_same(mixed.imu, fast.imu)
+    assert mixed.events == fast.events
+    assert mixed.saturation.any()
+    assert_same(mixed.steer_torque, fast.steer_torque, slice(None, None, 10))
+    sent = np.round((fast.imu.time_ns - 1_050_000_000) / 1e6).astype(int)  # 3e-5 of drift is below 0.5 ms
+    kept = np.flatnonzero(sent % 10 == 0)
+    assert len(np.unique(sent[kept])) > 700
+    assert_same(mixed.oriented, fast.oriented, kept)
+    assert_same(mixed.magnetic, fast.magnetic, kept)
+    assert_same(mixed.lean_yaw, fast.lean_yaw, kept)
+    np.testing.assert_array_equal(mixed.lean_yaw.saturation, mixed.saturation[kept])
+    np.testing.assert_array_equal(mixed.arrival_ns, fast.imu_arrival_ns[kept])
+    times = [record.time_ns for record in mixed.records() if record.topic == "/imu/lean_yaw"]
+    assert times == sorted(mixed.arrival_ns.tolist())
+
+
+def assert_same(one: Any, other: Any, rows: Any = slice(None)) -> None:
+    """Samples, of the other only some rows; variances hold for all rows."""
+    for name, value in vars(one).items():
+        expected = getattr(other, name)
+        if isinstance(value, np.ndarray) and not name.endswith("variance"):
+            expected = expected[rows]
+        np.testing.assert_array_equal(value, expected, err_msg=name)
+
+
+def test_a_raw_topic_as_fast_as_the_others_changes_nothing() -> None:
+    one, other = everything(), everything(imu__raw_rate=100.0)
+    assert_same(one.imu, other.imu)
+    assert_same(one.lean_yaw, other.lean_yaw)
+
+
+@pytest.mark.parametrize("rate", [50.0, 250.0, 100.1])
+def test_the_raw_rate_is_a_multiple(rate: float) -> None:
+    with pytest.raises(ParameterError, match=r"imu.raw_rate: expected 0, or a whole multiple of imu.rate"):
+        run(imu__raw_rate=rate)
 
 
 def test_everything_on_arrives_as_sent_and_is_read_back(tmp_path: Path) -> None:
@@ -189,11 +231,11 @@ def test_faults_of_a_scenario_are_those_of_a_recording() -> None:
     assert len(events) == len(told) + len(plain.events)
 
 
-def test_a_blind_runs_truth_tells_its_faults(tmp_path: Path) -> None:
+def test_a_blind_runs_truth_tells_its_faults() -> None:
     changes = {"faults": "stuck:time=3", "wireless.loss": 0.01}
     scenario = load_scenario("tms_strike", changes)
     made = simulate(scenario, np.random.default_rng(1))
-    told = json.loads(write_truth(made, scenario, tmp_path / "bag").read_text())["events"]
+    told = json.loads(truth_text(made, scenario))["events"]
     assert {"fault", "loss"} <= {event["kind"] for event in told}
     assert [event["time_ns"] for event in told] == sorted(event["time_ns"] for event in told)
 

@@ -23,8 +23,8 @@ from tms_sim.scenario import Scenario
 TRUTH = (topics.STATE, topics.EVENTS)  # topics that no experimenter has
 # What an experimenter knows: the bicycle as designed, where it runs, and the sensors as their papers say.
 KNOWN = (
-    "bicycle", "floor", "wheels", "imu.grade", "imu.rate", "imu.position", "imu.orientation_deg",
-    "speed_sensor.rate",
+    "bicycle", "floor", "wheels", "imu.grade", "imu.rate", "imu.raw_rate", "imu.position",
+    "imu.orientation_deg", "speed_sensor.rate",
 )  # fmt: skip
 
 

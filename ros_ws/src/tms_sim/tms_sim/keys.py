@@ -102,6 +102,14 @@ KEYS: dict[str, Key] = {
     ),
     "imu.grade": Key(str, "name of the inertial sensor"),
     "imu.rate": Key(float, "samples a second [Hz]", 1.0, 4000.0),
+    "imu.raw_rate": Key(
+        float,
+        "samples a second on imu/data_raw, of which the other topics hold each second, third, ...: a whole"
+        " multiple of imu.rate; 0: imu.rate [Hz]",
+        0.0,
+        4000.0,
+        0.0,
+    ),
     "imu.position": Key(
         tuple, "place in rear_frame, REP-103 axes, from the rear wheel contact [m]", -10.0, 10.0
     ),

@@ -49,9 +49,9 @@ class LiveRun:
 
     def sensor_figures(self) -> dict[str, float]:
         """The inertial sensor so far: packets arrived, with an axis at its limit, lost by the link."""
-        samples, arrival = self.run.lean_yaw, self.run.imu_arrival_ns
-        come = (samples.time_ns if arrival is None else arrival) <= self.now_ns
-        packets, saturated = int(come.sum()), int((samples.saturation[come] > 0).sum())
+        arrival = self.run.imu_arrival_ns
+        come = (self.run.imu.time_ns if arrival is None else arrival) <= self.now_ns
+        packets, saturated = int(come.sum()), int((self.run.saturation[come] > 0).sum())
         lost = sum(_lost(one, self.now_ns) for one in self.run.events if one.kind == "loss")
         return {
             "packets": packets,

@@ -26,7 +26,7 @@ from tms_model import Bicycle, load_bicycle
 
 from tms_sim import __version__
 from tms_sim.fault_injection import Request, parse_requests, with_faults
-from tms_sim.motion import Trajectory
+from tms_sim.motion import Motion, Trajectory
 from tms_sim.protocol import ride
 from tms_sim.scenario import Scenario
 from tms_sim.sensors.imu_stream import imu_stream, sensor_mounting
@@ -48,7 +48,9 @@ class SimulatedRun:
     magnetic: MagneticSamples | None
     events: tuple[Event, ...]  # of the truth, but for the faults
     trajectory: Trajectory  # the truth at every instant
-    imu_arrival_ns: NDArray[np.int64] | None = None  # of each packet of the sensor; None: at its stamp
+    saturation: NDArray[np.uint8]  # of each packet of the sensor: flags of tms_msgs/LeanYaw
+    imu_arrival_ns: NDArray[np.int64] | None = None  # of each packet; None: at its stamp
+    arrival_ns: NDArray[np.int64] | None = None  # of those that hold more than imu/data_raw
     speed_arrival_ns: NDArray[np.int64] | None = None  # of each speed; None: at its stamp
     faults: tuple[Request, ...] = ()  # put into the messages, not into the samples here
     fault_seed: int = 0
@@ -66,7 +68,8 @@ class SimulatedRun:
             event_records(self.events),
             *(_arrived(records, self.speed_arrival_ns) for records in self._speeds()),
             *([conversion.steer_torque_records(self.steer_torque)] if self.steer_torque else []),
-            *(_arrived(records, self.imu_arrival_ns) for records in self._packets()),
+            _arrived(conversion.imu_records(self.imu), self.imu_arrival_ns),
+            *(_arrived(records, self.arrival_ns) for records in self._packets()),
         )
         if not self.faults:
             return made
@@ -78,7 +81,6 @@ class SimulatedRun:
             yield conversion.speed_covariance_records(self.speed)
 
     def _packets(self) -> Iterator[Iterable[Record]]:
-        yield conversion.imu_records(self.imu)
         yield conversion.lean_yaw_records(self.lean_yaw)
         if self.oriented is not None:
             yield conversion.imu_records(self.oriented)
@@ -103,28 +105,37 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> SimulatedRun:
     trajectory = ride(scenario, moving)
     bicycle = load_bicycle(scenario.text("bicycle"))
     start_ns = scenario.integer("start_time_ns")
-    imu_time = stamps(scenario.number("imu.rate"), trajectory.end)
+    imu_time = stamps(scenario.imu_raw_rate, trajectory.end)
     motion = trajectory.at(imu_time / 1e9)
     inertial = imu_stream(scenario, motion, imu_time, bicycle.gravity, sensing)
     speed = speed_stream(scenario, trajectory, rolling)
     state_time = stamps(scenario.number("state_rate"), trajectory.end)
-    gain = scenario.number("steer_torque.lean_rate_gain")
+    late = inertial.arrival_ns
     return SimulatedRun(
         info=_info(scenario, bicycle),
         state=true_state(trajectory.at(state_time / 1e9), start_ns, state_time),
         events=true_events((*trajectory.events, *inertial.events), start_ns),
         speed=speed.samples,
-        steer_torque=SteerTorqueSamples(start_ns + imu_time, gain * motion.lean_rate) if gain else None,
+        steer_torque=_steer_torque(scenario, motion, start_ns + imu_time),
         imu=inertial.raw,
         lean_yaw=inertial.lean_yaw,
         oriented=inertial.oriented,
         magnetic=inertial.magnetic,
         trajectory=trajectory,
-        imu_arrival_ns=inertial.arrival_ns,
+        saturation=inertial.saturation,
+        imu_arrival_ns=late,
+        arrival_ns=None if late is None else late[inertial.whole],
         speed_arrival_ns=speed.arrival_ns,
         faults=tuple(parse_requests(scenario.text("faults"))),
         fault_seed=int(failing.integers(2**63)),
     )
+
+
+def _steer_torque(
+    scenario: Scenario, motion: Motion, time_ns: NDArray[np.int64]
+) -> SteerTorqueSamples | None:
+    gain, every = scenario.number("steer_torque.lean_rate_gain"), scenario.imu_every
+    return SteerTorqueSamples(time_ns[::every], gain * motion.lean_rate[::every]) if gain else None
 
 
 def _arrived(records: Iterable[Record], arrival_ns: NDArray[np.int64] | None) -> Iterable[Record]:

@@ -62,6 +62,16 @@ class Scenario:
         assert isinstance(value, tuple)
         return value
 
+    @property
+    def imu_every(self) -> int:
+        """Samples of the inertial sensor for each that goes out on its topics other than imu/data_raw."""
+        return round((self.number("imu.raw_rate") or self.number("imu.rate")) / self.number("imu.rate"))
+
+    @property
+    def imu_raw_rate(self) -> float:
+        """Samples of the inertial sensor a second [Hz]."""
+        return self.imu_every * self.number("imu.rate")
+
     def to_yaml(self) -> str:
         """All keys as YAML, nested again: what a bag records as its configuration."""
         nested: dict[str, Any] = {"scenario": self.name}
@@ -93,6 +103,7 @@ def load_scenario(name: str, changes: dict[str, Any] | None = None) -> Scenario:
     values = {key: checked(key, values[key]) for key in KEYS}
     scenario = Scenario(path.stem, values)
     _check_strikes(scenario)
+    _check_rates(scenario)
     return scenario
 
 
@@ -184,3 +195,12 @@ def _check_strikes(scenario: Scenario) -> None:
                 f"strike.time: expected a strike inside the record of {length:g} s, found {time:g} s"
             )
         before = time + lasts
+
+
+def _check_rates(scenario: Scenario) -> None:
+    """Raise ParameterError unless the sensor's topics can hold every n-th sample of the raw one."""
+    raw, rate = scenario.number("imu.raw_rate"), scenario.number("imu.rate")
+    if raw and not (raw >= rate and abs(raw - scenario.imu_raw_rate) <= 1e-9 * raw):
+        raise ParameterError(
+            f"imu.raw_rate: expected 0, or a whole multiple of imu.rate ({rate:g} Hz), found {raw:g} Hz"
+        )

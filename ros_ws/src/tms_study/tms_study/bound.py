@@ -57,7 +57,8 @@ class Bound:
 def planned(scenario: Scenario, window: float = FitSettings.window) -> Experiment:
     """The experiment that a scenario describes, with a free response of `window` [s] used at most."""
     rate = scenario.number("imu.rate")
-    density = load_imu(scenario.text("imu.grade")).gyroscope.noise_density
+    # imu/lean_yaw holds every n-th sample as it is, with the noise of one sample of the faster raw topic.
+    density = load_imu(scenario.text("imu.grade")).gyroscope.noise_density * math.sqrt(scenario.imu_every)
     left = scenario.number("duration") - scenario.numbers("strike.time")[0]
     return Experiment(rate, density, min(left, window), scenario.numbers("strike.lean_rate")[0])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,17 @@ from tms_sim.truth import rear_frame_motion
 
 @dataclass(frozen=True, eq=False)
 class ImuStream:
-    """The packets of the inertial sensor that arrive; a duplicate stands twice."""
+    """The packets of the inertial sensor that arrive; a duplicate stands twice.
 
-    raw: ImuSamples
+    A packet holds a raw sample, and each n-th all else.
+    """
+
+    raw: ImuSamples  # m of them
+    whole: NDArray[np.bool_]  # (m,) which packets hold the rest, too
     oriented: ImuSamples | None  # with the sensor's own orientation; None: it finds none
     magnetic: MagneticSamples | None
     lean_yaw: LeanYawSamples
+    saturation: NDArray[np.uint8]  # (m,) flags of tms_msgs/LeanYaw
     arrival_ns: NDArray[np.int64] | None  # (m,) [ns] by the host's clock; None: at their stamps
     events: tuple[Event, ...]  # packets that never came
 
@@ -43,7 +48,7 @@ def imu_stream(
     """
     shaking, reading, radio = rng.spawn(3)
     grade = load_imu(scenario.text("imu.grade")).only(error_names(scenario.text("imu.errors")))
-    rate, place, field = scenario.number("imu.rate"), sensor_mounting(scenario), _field(scenario)
+    rate, place, field = scenario.imu_raw_rate, sensor_mounting(scenario), _field(scenario)
     padding = Padding(scenario.number("padding.natural_frequency"), scenario.number("padding.damping_ratio"))
     shake = floor_vibration(motion.speed, rate, scenario.number("floor_vibration.rms"), padding, shaking)
     acting = felt(rear_frame_motion(motion), place, gravity, field, shake)
@@ -57,7 +62,7 @@ def imu_stream(
     distance = np.hypot(motion.rear_contact[:, 0], motion.rear_contact[:, 1])
     delivery = deliver(start_ns + time_ns, distance, _link(scenario), start_ns, radio)
     lean = motion.lean if own is None else frame_lean(own, place.stated)
-    return _arrived(readings, own, lean, grade, rate, place, delivery, time_ns)
+    return _arrived(readings, own, lean, grade, rate, place, delivery, time_ns, scenario.imu_every)
 
 
 def sensor_mounting(scenario: Scenario) -> Mounting:
@@ -78,35 +83,42 @@ def _arrived(
     place: Mounting,
     delivery: Delivery,
     time_ns: NDArray[np.int64],
+    every: int,
 ) -> ImuStream:
-    rows, stamps = delivery.rows, delivery.stamp_ns
-    rates, forces = readings.gyroscopes.values[rows], readings.accelerometers.values[rows]
+    whole = delivery.rows % every == 0
+    raw = _raw(readings, delivery.rows, delivery.stamp_ns, grade, rate)
+    rows, stamps = delivery.rows[whole], delivery.stamp_ns[whole]
+    rates = raw.angular_velocity[whole]
     lean_rate, yaw_rate = lean_and_yaw_rate(imu_to_rear_frame(rates, place.stated), lean[rows])
-    raw = ImuSamples(
-        time_ns=stamps,
-        angular_velocity=rates,
-        specific_force=forces,
-        angular_velocity_variance=np.full(3, grade.gyroscope.noise_std(rate) ** 2),
-        specific_force_variance=np.full(3, grade.accelerometer.noise_std(rate) ** 2),
-    )
     oriented = magnetic = None
     if own is not None:
-        oriented = ImuSamples(
-            stamps,
-            rates,
-            forces,
-            raw.angular_velocity_variance,
-            raw.specific_force_variance,
-            orientation=own[rows],
-        )
+        oriented = replace(_raw(readings, rows, stamps, grade, rate), orientation=own[rows])
         magnetic = MagneticSamples(
             stamps,
             readings.magnetometers.values[rows],
             np.full(3, grade.magnetometer.noise_std(rate) ** 2),
         )
     summary = LeanYawSamples(stamps, lean[rows], lean_rate, yaw_rate, readings.saturation[rows])
-    late = None if np.array_equal(delivery.arrival_ns, stamps) else delivery.arrival_ns
-    return ImuStream(raw, oriented, magnetic, summary, late, _losses(delivery, time_ns, rate))
+    late = None if np.array_equal(delivery.arrival_ns, delivery.stamp_ns) else delivery.arrival_ns
+    flags = readings.saturation[delivery.rows]
+    events = _losses(delivery, time_ns, rate)
+    return ImuStream(raw, whole, oriented, magnetic, summary, flags, late, events)
+
+
+def _raw(
+    readings: ImuReadings,
+    rows: NDArray[np.int64],
+    stamps: NDArray[np.int64],
+    grade: ImuGrade,
+    rate: float,
+) -> ImuSamples:
+    return ImuSamples(
+        time_ns=stamps,
+        angular_velocity=readings.gyroscopes.values[rows],
+        specific_force=readings.accelerometers.values[rows],
+        angular_velocity_variance=np.full(3, grade.gyroscope.noise_std(rate) ** 2),
+        specific_force_variance=np.full(3, grade.accelerometer.noise_std(rate) ** 2),
+    )
 
 
 def _losses(delivery: Delivery, time_ns: NDArray[np.int64], rate: float) -> tuple[Event, ...]:
