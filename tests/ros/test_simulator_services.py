@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import pytest
 from geometry_msgs.msg import TransformStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -50,6 +53,45 @@ def test_start_strike_stop_reset(nodes: Any, participant: Any) -> None:
     participant.call(Trigger, "/simulator/start")
     participant.spin_until(lambda: states[-1].header.stamp.sec < last.sec or states[-1].lean == 0.0, "back")
     nodes.stop(process)
+
+
+def test_faults_set_while_the_run_goes_on(nodes: Any, participant: Any) -> None:
+    states = listen(participant, BicycleState, "bicycle/state")
+    infos = listen(participant, RunInfo, "run_info", LATCHED)
+    process = nodes.start(
+        "tms_sim",
+        "simulator",
+        "-p",
+        "autostart:=false",
+        "-p",
+        "stay:=true",
+        "-p",
+        "scenario:=tms_strike_ideal",
+    )
+    assert participant.call(Trigger, "/simulator/start").success
+    participant.spin_until(lambda: len(states) > 20 and len(infos) == 1, "the run goes on")
+    assert set_faults(participant, "bias_jump") == ""
+    participant.spin_until(lambda: len(infos) == 2, "run_info tells of the fault")
+    (faults,) = participant.call(
+        GetParameters, "/simulator/get_parameters", GetParameters.Request(names=["faults"])
+    ).values
+    assert re.fullmatch(r"bias_jump:time=\d+\.\d{6}", faults.string_value)
+    assert f"faults: {faults.string_value}\n" in infos[1].configuration
+    begun = len(states)
+    participant.spin_until(lambda: len(states) > begun + 20, "the fault has begun")
+    assert "those that have begun as they are, which is 'bias_jump:time=" in set_faults(participant, "none")
+    assert "unknown 'moon'" in set_faults(participant, f"{faults.string_value}; moon")
+    assert len(infos) == 2
+    nodes.stop(process)
+
+
+def set_faults(participant: Any, text: str) -> str:
+    """Set the simulator's faults; returns the reason of a refusal."""
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+    request = SetParameters.Request(parameters=[Parameter(name="faults", value=value)])
+    (result,) = participant.call(SetParameters, "/simulator/set_parameters", request).results
+    assert result.successful == (result.reason == "")
+    return str(result.reason)
 
 
 def test_viewers_get_a_bicycle_that_moves(nodes: Any, participant: Any) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
-from tms_bag import Record, conversion, topics
+from tms_bag import Record, RecordingError, conversion, topics
 from tms_model import ParameterError
+from tms_sim.faults import FAULTS
 from tms_sim.live_run import LARGEST_STEP, LiveRun
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario, scenario_names
@@ -54,6 +55,53 @@ def test_a_strike_on_the_way_agrees_with_what_was_sent(name: str) -> None:
     told = yaml.safe_load(live.run.info.configuration)
     again = load_scenario(name, {f"strike.{key}": told["strike"][key] for key in told["strike"]})
     assert list(simulate(again, np.random.default_rng(again.integer("seed"))).records()) == live.records
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_on_the_way_leaves_what_was_sent_as_it_was(name: str) -> None:
+    # The sensor's clock is 50 ms ahead of the host's: stamps of what was sent lie ahead of now.
+    live = LiveRun(load_scenario("gym_as_measured", {"faults": "noise:std=0.01", "duration": 6.0}))
+    sent = until(live, 4.1)
+    seen = live.records
+    info = live.change_faults(live.timed(f"noise:std=0.01,time=0; {name}"))
+    assert live.records[1 : len(sent)] == sent[1:]
+    assert live.records[len(sent) :] != seen[len(sent) :]
+    told = yaml.safe_load(conversion.run_info(info).configuration)["faults"]
+    again = load_scenario("gym_as_measured", {"duration": 6.0, "faults": told})
+    assert list(simulate(again, np.random.default_rng(again.integer("seed"))).records()) == live.records
+    assert sent[1:] + until(live, 1e9) == live.records[1:]
+
+
+def test_faults_that_cannot_be() -> None:
+    live = LiveRun(load_scenario("tms_strike", {"faults": "scale:time=1,factor=2"}))
+    assert live.timed("loss") == "loss"  # nothing has been sent: from the start
+    until(live, 3.0)
+    before = live.records
+    for faults, says in (
+        ("none", "those that have begun as they are, which is 'scale:time=1,factor=2'"),
+        ("scale:time=1,factor=2; loss:time=2.9", "expected faults that begin after what has been sent"),
+        ("moon", "unknown 'moon'"),
+        ("scale:time=1,factor=2; stuck:time=4,topic=/moon", "expected a topic /moon"),
+    ):
+        with pytest.raises((ParameterError, RecordingError), match=says):
+            live.change_faults(faults)
+        assert live.records is before
+        assert live.scenario.text("faults") == "scale:time=1,factor=2"
+    until(live, 1e9)
+
+
+def test_a_fault_begins_at_once_and_another_may_still_be_dropped() -> None:
+    live = LiveRun(load_scenario("tms_strike_ideal", {"faults": "none"}))
+    until(live, 2.0)
+    live.change_faults(live.timed("dropout:duration=0.1"))
+    times = [one.time_ns for one in live.records if one.topic == f"/{topics.IMU}"]
+    gap = int(np.argmax(np.diff(times)))
+    assert times[gap] == 3_000_000_000  # 2 s after the start, at 1 s: the last that had been sent
+    assert times[gap + 1] == 3_110_000_000
+    kept = live.scenario.text("faults")
+    live.change_faults(f"{kept}; bias_jump:time=5")
+    live.change_faults(kept)
+    assert [one.time_ns for one in live.records if one.topic == f"/{topics.IMU}"] == times
 
 
 def test_a_strike_does_what_it_says() -> None:

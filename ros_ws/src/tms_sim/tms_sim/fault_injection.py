@@ -73,6 +73,23 @@ def parse_requests(asked: str) -> list[Request]:
     return [parse_request(part) for part in asked.split(";") if part.strip()]
 
 
+def timed(asked: str, time: float) -> str:
+    """The text of some requests, those that don't say when beginning at a time [s since the start]."""
+    parts = [part.strip() for part in asked.split(";") if part.strip()]
+    if asked.strip() == NONE:
+        return NONE
+    return "; ".join(part if _says_when(part) else _begun(part, time) for part in parts)
+
+
+def _says_when(part: str) -> bool:
+    return any(item.strip().startswith("time") for item in part.partition(":")[2].split(","))
+
+
+def _begun(part: str, time: float) -> str:
+    name, _, rest = part.partition(":")
+    return f"{name}:time={time:.6f}" + (f",{rest}" if rest.strip() else "")
+
+
 def inject(
     records: Iterable[Record], requests: Sequence[Request], start_ns: int, rng: np.random.Generator
 ) -> tuple[list[Record], list[Event]]:
@@ -103,7 +120,7 @@ def with_faults(
 ) -> Iterator[Record]:
     """The records with the faults in them, and with the events that tell them."""
     spoilt, events = inject(records, requests, start_ns, rng)
-    return merged(event_records(true_events(events, start_ns)), spoilt)
+    return merged(spoilt, event_records(true_events(events, start_ns)))  # run_info stays the first
 
 
 def _topics(request: Request, present: list[str]) -> list[str]:

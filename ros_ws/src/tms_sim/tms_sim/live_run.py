@@ -1,8 +1,9 @@
-"""A run that goes on while one looks at it, and in which one may still strike the bicycle.
+"""A run that goes on while one looks at it, in which one may still strike the bicycle and spoil its sensors.
 
 All of a run is known beforehand. A strike on the way makes it anew with that strike among the scenario's:
 nothing that happens later changes any draw of noise before, so what has been sent agrees with the new run
-(to 1e-8 rad/s, since the steps of the motion end where a strike begins). The scenario as it stands at the
+(to 1e-8 rad/s, since the steps of the motion end where a strike begins). So do other faults, to the last bit,
+and are refused where they don't. The scenario as it stands at the
 end, which run_info tells, gives the same run once more.
 """
 
@@ -12,20 +13,25 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from tms_bag import Record, topics
+from tms_bag import Record, RecordingError, topics
 from tms_bag.event import Event
 from tms_model import ParameterError
 
+from tms_sim.fault_injection import timed
 from tms_sim.keys import checked
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import Scenario
 
 # [ns] of simulated time sent at once: a late look must not outrun the subscribers' history.
 LARGEST_STEP = 250_000_000
+_RUN_INFO = f"/{topics.RUN_INFO}"
 
 
 class LiveRun:
     """One run of a scenario, sent bit by bit."""
+
+    run: SimulatedRun
+    records: list[Record]
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -91,12 +97,54 @@ class LiveRun:
             self.scenario = before
             raise
         self.sent = sum(record.time_ns <= self.now_ns for record in self.records)
-        return next(record for record in self.records if record.topic == f"/{topics.RUN_INFO}")
+        return self._info()
+
+    def timed(self, faults: str) -> str:
+        """The text of some faults, those that don't say when beginning as soon as they still can."""
+        if not self.sent:
+            return faults
+        # A sensor's clock may be ahead of the host's: what bears a later stamp than now has been sent, too.
+        sent = (record.publish_time_ns or record.time_ns for record in self.records[: self.sent])
+        latest = max(self.now_ns, *sent) - self.scenario.integer("start_time_ns")
+        return timed(faults, math.floor(latest / 1e3 + 1.0) / 1e6)
+
+    def change_faults(self, faults: str) -> Record:
+        """Go on with other faults in what is still to come. Returns what the run is from now on (run_info).
+
+        Raises ParameterError for what is no fault, or would change what has been sent, RecordingError for a
+        fault of a topic that isn't there; the run then goes on as it was.
+        """
+        before = self.scenario, self.run, self.records
+        told = self._told()
+        self.scenario = replace(
+            self.scenario, values={**self.scenario.values, "faults": checked("faults", faults)}
+        )
+        try:
+            self._make()
+            if self._told() != told:
+                raise ParameterError(
+                    "faults: expected faults that begin after what has been sent, and those that have begun"
+                    f" as they are, which is {before[0].text('faults')!r}; found {faults!r}"
+                )
+        except (ParameterError, RecordingError):
+            self.scenario, self.run, self.records = before
+            raise
+        self.sent = sum(record.time_ns <= self.now_ns for record in self.records) if self.sent else 0
+        return self._info()
+
+    def _told(self) -> list[Record]:
+        """What has been sent of the run as it is now, but for what says what it is."""
+        if not self.sent:
+            return []
+        return [one for one in self.records if one.time_ns <= self.now_ns and one.topic != _RUN_INFO]
+
+    def _info(self) -> Record:
+        return next(record for record in self.records if record.topic == _RUN_INFO)
 
     def _make(self) -> None:
         rng = np.random.default_rng(self.scenario.integer("seed"))
-        self.run: SimulatedRun = simulate(self.scenario, rng)
-        self.records: list[Record] = list(self.run.records())
+        self.run = simulate(self.scenario, rng)
+        self.records = list(self.run.records())
 
 
 def _lost(burst: Event, now_ns: int) -> int:

@@ -14,7 +14,7 @@ from tms_sim.scenario import Scenario, load_scenario
 
 @dataclass(frozen=True)
 class Settings:
-    """What the simulator was started with. `rate` and `display_rate` may change later."""
+    """What the simulator was started with. `rate`, `display_rate` and `faults` may change later."""
 
     scenario: Scenario
     own_clock: bool  # the run's time is published on /clock; else it is the node's own
@@ -69,6 +69,7 @@ def _scenario(node: Node) -> Scenario:
         one_or_more = rule.kind is list  # one number, or one for each strike
         ranged = isinstance(default, int | float) and not one_or_more
         low, high = (rule.low, rule.high) if ranged else (None, None)
-        given = declare(node, key, default, rule.meaning, low, high, any_type=one_or_more)
+        fixed = key != "faults"
+        given = declare(node, key, default, rule.meaning, low, high, fixed, any_type=one_or_more)
         changes[key] = given if isinstance(given, str | bool | int | float) else list(given)
     return load_scenario(name, changes)
