@@ -119,12 +119,12 @@ def test_an_old_truth_is_not_left_beside_a_new_bag(bag: Path, command: Any, refu
     assert not truth.exists()
 
 
-# Ends the process right before the n-th name on the disk is changed, as a power failure would.
+# Ends the process right before the n-th name of the run on the disk is changed, as a power failure would.
 KILLED = """
 import os, signal, sys
 left = [int(sys.argv.pop(1))]
 def look(event, arguments):
-    if event in ("os.rename", "os.remove"):
+    if event in ("os.rename", "os.remove") and "run" in os.path.basename(arguments[0]):
         left[0] -= 1
         if left[0] < 0:
             os.kill(os.getpid(), signal.SIGKILL)
