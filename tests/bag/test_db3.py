@@ -105,7 +105,7 @@ def test_a_folder_may_be_called_as_one_likes(db3_bag, name):
 
 
 def test_messages_that_a_killed_recorder_had_not_brought_into_the_file_are_read(db3_bag, tmp_path):
-    """As rosbag2's preset `resilient` writes: into a log beside the file, from which they are taken over later."""
+    """As rosbag2's preset `resilient` writes: into a log beside the file, taken over later."""
     (file,) = db3_bag.glob("*.db3")
     with closing(sqlite3.connect(file)) as database:
         database.execute("PRAGMA journal_mode = WAL")
