@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tms_bag import BagReader, RecordingError, conversion, read_recording
 from tms_bag.messages import schema_text
+from tms_bag.reading.definitions import message_of
 from tms_bag.samples import ImuSamples
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -393,3 +395,33 @@ def test_messages_of_a_type_without_fields_have_their_times(tmp_path):
         columns = bag.columns({"/button": None})["/button"]
     assert columns.log_time_ns.tolist() == [*range(9)]
     assert columns.values == {}
+
+
+def test_events_of_a_service_are_laid_out_by_the_definition_of_the_service(tmp_path):
+    """REP-2012: when, by whom, and the request or the response, as rosbag2 records introspected services."""
+    head = struct.Struct("<4xB3xiI16s4xq")  # encapsulation, kind, stamp, client, sequence number
+    sent = [  # numbers are aligned to their size, from behind the encapsulation on
+        head.pack(1, 10, 500, bytes(range(16)), 7) + struct.pack("<I4xqqI", 1, 2, 3, 0),
+        head.pack(2, 11, 600, bytes(range(16)), 7) + struct.pack("<IIq", 0, 1, 5),
+    ]
+    kind = "elsewhere_msgs/srv/Add_Event"
+    messages = [("/add/_service_event", kind, n, b"\0\1\0\0" + data[4:]) for n, data in enumerate(sent)]
+    definition = "int64 a\nint64 b\n---\nint64 sum\n"
+    with BagReader(write_mcap(tmp_path / "a.mcap", messages, schema=lambda _: definition)) as bag:
+        columns = bag.columns({"/add/_service_event": None})["/add/_service_event"]
+        (channel,) = bag.channels
+        asked, answered = (message_of(channel, record.data) for record in bag.records())
+    assert columns["info.event_type"].tolist() == [1, 2]
+    assert columns["info.client_gid"][1].tolist() == [*range(16)]
+    assert columns["info.sequence_number"].tolist() == [7, 7]
+    assert (columns["request[0].b"][0], columns["response[0].sum"][1]) == (3, 5)
+    assert (asked.request[0].a, asked.response, answered.request) == (2, [], [])
+    assert (answered.response[0].sum, answered.info.stamp.sec) == (5, 11)
+
+
+def test_feedback_of_an_action_is_read_as_any_message(tmp_path):
+    kind = "elsewhere_msgs/action/Turn_FeedbackMessage"
+    messages = [("/turn/_action/feedback", kind, n, b"\0\1\0\0" + struct.pack("<d", n / 2)) for n in range(5)]
+    with BagReader(write_mcap(tmp_path / "a.mcap", messages, schema=lambda _: "float64 angle\n")) as bag:
+        columns = bag.columns({"/turn/_action/feedback": None})["/turn/_action/feedback"]
+    assert columns["angle"].tolist() == [n / 2 for n in range(5)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from typing import Any
 
@@ -14,6 +15,10 @@ from tms_bag.errors import RecordingError
 from tms_bag.reading.layout import Fields
 
 LONGEST_SCHEMA = 2**18  # [bytes]; sensor_msgs/Imu with all that it uses has 10,000
+
+_EVENT = re.compile(r"\w+/srv/\w+_Event")
+_EVENT_INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number"
+_SEPARATOR = "=" * 80
 
 
 def fields_of(channel: Channel) -> Fields:
@@ -71,12 +76,39 @@ def _stored_fields(type_name: str, schema: bytes, encoding: str) -> Fields | Non
         return None
     try:
         text = schema.decode("utf-8")
+        if encoding == "ros2msg" and _EVENT.fullmatch(type_name):
+            text = _event_definition(type_name, text)
         found = parse(text, type_name) if parse is get_types_from_msg else get_types_from_idl(text)
-        return _complete(type_name, found)
+        head, _, name = type_name.rpartition("/")
+        renamed = f"{head}/msg/{name}"  # what the library makes of names of services and actions
+        return _complete(type_name, {type_name: found[renamed], **found} if renamed in found else found)
     except (TypesysError, SyntaxError, ValueError, KeyError, IndexError, RecursionError, TypeError):
         return None
     except RecordingError:
         return None
+
+
+def _event_definition(type_name: str, text: str) -> str:
+    """Definition of a service's events out of that of the service, which is what bags hold."""
+    service, *types = re.split(r"^={80}$", text, flags=re.MULTILINE)
+    request, response = re.split(r"^---\s*$", service, flags=re.MULTILINE)
+    package, _, name = type_name.removesuffix("_Event").split("/")
+    parts = {
+        f"{package}/{name}_Request": request,
+        f"{package}/{name}_Response": response,
+        "service_msgs/ServiceEventInfo": _EVENT_INFO,
+    }
+    event = (
+        "service_msgs/ServiceEventInfo info\n"
+        f"{package}/{name}_Request[<=1] request\n{package}/{name}_Response[<=1] response\n"
+    )
+    return (_SEPARATOR + "\n").join(
+        [
+            event,
+            *(f"MSG: {part}\n{fields.strip()}\n" for part, fields in parts.items()),
+            *(each.lstrip() for each in types),
+        ]
+    )
 
 
 def _complete(type_name: str, found: Fields) -> Fields:
