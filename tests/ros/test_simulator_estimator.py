@@ -209,16 +209,13 @@ def test_signals_end_a_node_cleanly(
 
 def test_parameters_are_checked_at_run_time(nodes: Any, participant: Any) -> None:
     nodes.start("tms_sim", "simulator", "-p", "rate:=0.1")
-    client = participant.create_client(SetParameters, "/simulator/set_parameters")
-    assert client.wait_for_service(DEADLINE)
 
     def ask(name: str, value: float) -> tuple[bool, str]:
         wish = Parameter(
             name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         )
-        future = client.call_async(SetParameters.Request(parameters=[wish]))
-        participant.spin_until(future.done, f"the answer about {name}")
-        result = future.result().results[0]
+        request = SetParameters.Request(parameters=[wish])
+        result = participant.call(SetParameters, "/simulator/set_parameters", request).results[0]
         return result.successful, result.reason
 
     assert ask("rate", 0.2) == (True, "")

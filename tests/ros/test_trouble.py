@@ -73,9 +73,12 @@ class Source:
             for topic, kind in kinds.items()
         }
 
-    def wait_for(self, listeners: int) -> None:
+    def wait_for(self, *nodes: str) -> None:
+        """Wait until these nodes hear every topic: then all arrives, and in the order of sending."""
         counts = [publisher.get_subscription_count for publisher in self.publishers.values()]
-        self._participant.spin_until(lambda: all(c() >= listeners for c in counts), "listeners")
+        self._participant.spin_until(lambda: all(c() >= len(nodes) for c in counts), "listeners")
+        for node in nodes:
+            self._participant.reach(node)
 
     def send(self, records: list[Any], pause: float = 0.0005) -> None:
         for record in records:
@@ -83,30 +86,6 @@ class Source:
             time.sleep(pause)
         for publisher in self.publishers.values():
             publisher.wait_for_all_acked()
-
-    def wake(self, records: list[Any], node: str) -> None:
-        """Send the first message of each topic again and again until the node has handled one of each.
-
-        That a publisher knows a subscription doesn't mean that the subscription knows the publisher; with
-        dead participants around that may take a while. What comes twice is left out by the estimator.
-        """
-        counts: dict[str, int] = {}
-        kind = message_class("tms_msgs/msg/Handled")
-
-        def take(message: Any) -> None:
-            counts.update(zip(message.topics, message.counts, strict=True))
-
-        listening = self._participant.create_subscription(kind, f"/{node}/handled", take, 10)
-        first = {one.topic: one for one in reversed(records) if "run_info" not in one.topic}
-
-        def heard() -> bool:
-            for topic, record in first.items():
-                self.publishers[topic].publish(record.data)
-            time.sleep(0.05)
-            return all(counts.get(topic, 0) > 0 for topic in self.publishers)
-
-        self._participant.spin_until(heard, "the node hears every topic")
-        self._participant.destroy_subscription(listening)
 
     def leave(self) -> None:
         for publisher in self.publishers.values():
@@ -150,7 +129,7 @@ def test_a_publisher_that_dies_and_returns_begins_a_new_run(nodes: Any, particip
     expected = {t: offline(first)[t] + offline(second)[t] for t in ("/estimate", "/filter_state")}
     for records in (first, second):
         source = Source(participant, records)
-        source.wait_for(1)
+        source.wait_for("/estimator")
         source.send(records)
         count = len(offline(first)["/filter_state"]) * (1 if records is first else 2)
         participant.spin_until(lambda n=count: len(answers.found["/filter_state"]) == n, "every sample")
@@ -167,7 +146,7 @@ def test_who_comes_late_gets_the_estimates_and_two_estimators_agree(nodes: Any, 
         nodes.start("tms_fit", "estimator", "-r", f"__ns:=/{name}", *remapped_inputs(), "-p", "idle:=0.5")
     handled = [heard(participant, f"/{name}/estimator") for name in ("one", "two")]
     source = Source(participant, records)
-    source.wait_for(2)
+    source.wait_for("/one/estimator", "/two/estimator")
     source.send(records)
     samples = sum(record.topic == "/imu/data_raw" for record in records)
     participant.spin_until(
@@ -192,7 +171,7 @@ def test_time_that_jumps_back_and_forward_begins_new_runs(nodes: Any, participan
     answers = Answers(participant)
     estimator = nodes.start("tms_fit", "estimator", "-p", "idle:=0.5")
     source = Source(participant, records)
-    source.wait_for(1)
+    source.wait_for("/estimator")
     source.send(records)
     answers.wait_for(participant, expected)
     assert answers.found == expected
@@ -204,7 +183,7 @@ def test_simulated_time_without_a_clock_stops_nobody(nodes: Any, participant: An
     answers = Answers(participant)
     nodes.start("tms_fit", "estimator", "-p", "idle:=0.5", "-p", "use_sim_time:=true")
     source = Source(participant, records)
-    source.wait_for(1)
+    source.wait_for("/estimator")
     source.send(records)
     expected = offline(records)
     answers.wait_for(participant, expected)
@@ -215,11 +194,10 @@ def test_a_storm_of_parameters_costs_no_sample(nodes: Any, participant: Any) -> 
     records = inputs(run_of(seed=6))
     answers = Answers(participant)
     nodes.start("tms_fit", "estimator", "-p", "idle:=2.0")
-    client = participant.create_client(SetParameters, "/estimator/set_parameters")
-    participant.spin_until(client.service_is_ready, "the estimator")
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1.0)
     source = Source(participant, records)
-    source.wait_for(1)
+    source.wait_for("/estimator")
+    client = participant.client(SetParameters, "/estimator/set_parameters")
     asked = []
     for k, record in enumerate(records):
         source.publishers[record.topic].publish(record.data)
@@ -399,9 +377,8 @@ def test_what_killed_nodes_leave_in_shared_memory_hinders_nobody(
     dead = listeners(participant)  # for others they are there until their lease ends
     estimator = nodes.start("tms_fit", "estimator", "-p", "idle:=3.0")
     participant.spin_until(lambda: len(listeners(participant) - dead) == len(source.publishers), "a live one")
-    source.publishers["/run_info"].publish(records[0].data)
-    source.wake(records, "estimator")
-    source.send(records[1:])
+    participant.reach("/estimator")
+    source.send(records)
     expected = offline(records)
     answers.wait_for(participant, expected)
     assert answers.found == expected
