@@ -53,6 +53,20 @@ def test_what_is_due_is_let_through_with_its_delay(clock):
     assert player.wait_until(2 * SECOND, 0.01, lambda: None) == pytest.approx(0.5)
 
 
+def test_what_is_asked_for_before_the_beginning_counts(clock):
+    player = Transport(0, 1.0, paused=True)
+    assert player.step()
+    clock.now += 5.0
+    player.begin(0)
+    assert player.take_target() == 0
+    assert player.wait_until(SECOND, 0.01, lambda: None) == 0.0
+    player = Transport(0, 1.0)
+    player.seek(7 * SECOND)
+    clock.now += 5.0
+    player.begin(0)
+    assert player.take_target() == player.now_ns() == 7 * SECOND
+
+
 def test_steps_pass_while_paused_and_only_then(clock):
     player = Transport(0, 1.0)
     assert not player.step()

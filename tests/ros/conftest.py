@@ -107,7 +107,11 @@ class Participant(Node):
         end = time.monotonic() + deadline
         while not condition():
             assert time.monotonic() < end, f"not within {deadline:g} s: {what}"
-            self._spinner.spin_once(timeout_sec=0.01)
+            self.spin()
+
+    def spin(self) -> None:
+        """Handle what has arrived, or wait a little for it."""
+        self._spinner.spin_once(timeout_sec=0.01)
 
     def result(self, future: Any, what: str) -> Any:
         """The result of a future, when it is there."""

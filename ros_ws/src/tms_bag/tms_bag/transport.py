@@ -62,6 +62,12 @@ class Transport:
             self._changed.notify_all()
             return self._paused
 
+    def begin(self, bag_ns: int) -> None:
+        """Start to play at a time of the bag [ns], or where `seek` said; steps asked for before count."""
+        with self._changed:
+            self._target = bag_ns if self._target is None else self._target
+            self._settle(self._target)
+
     def seek(self, bag_ns: int) -> None:
         """Go on from another time of the bag [ns]."""
         with self._changed:

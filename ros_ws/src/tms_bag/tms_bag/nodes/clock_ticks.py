@@ -12,10 +12,10 @@ from tms_bag.transport import Transport
 
 
 class ClockTicks:
-    """Publishes where a player stands every `period` [s] of real time; 0: never."""
+    """Publishes where a player stands every `period` [s] of real time, no later than `end_ns`; 0: never."""
 
-    def __init__(self, node: Node, transport: Transport, period: float) -> None:
-        self._transport, self._period = transport, period
+    def __init__(self, node: Node, transport: Transport, period: float, end_ns: int) -> None:
+        self._transport, self._period, self._end_ns = transport, period, end_ns
         self._publisher = node.create_publisher(Clock, "/clock", 10) if period else None
         self._due = 0.0
 
@@ -23,4 +23,4 @@ class ClockTicks:
         """To be called more often than the clock ticks."""
         if self._publisher and time.monotonic() >= self._due:
             self._due = time.monotonic() + self._period
-            self._publisher.publish(clock_message(self._transport.now_ns()))
+            self._publisher.publish(clock_message(min(self._transport.now_ns(), self._end_ns)))

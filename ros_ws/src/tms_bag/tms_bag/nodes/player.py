@@ -15,6 +15,7 @@ from tms_bag.nodes.clock_ticks import ClockTicks
 from tms_bag.nodes.consumers import Consumers
 from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.handled import Window
+from tms_bag.nodes.listeners import wait_until_known
 from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.player_services import offer_services
 from tms_bag.nodes.player_settings import declare_player_settings
@@ -32,7 +33,7 @@ class Player(Node):
         super().__init__("player", **kwargs)
         self._settings = its = declare_player_settings(self)
         self._transport = Transport(its.start_ns, self._rate, its.start_paused)
-        self._ticks = ClockTicks(self, self._transport, its.clock_period)
+        self._ticks = ClockTicks(self, self._transport, its.clock_period, its.end_ns)
         left_out = ("/clock",) if its.clock_period else ()
         consumers = Consumers(self, its.handled_topics if its.lossless else ())
         left_out += consumers.topics  # what they said when the bag was recorded isn't what they say now
@@ -54,7 +55,7 @@ class Player(Node):
         self._answering.start()
         with suppress(StoppedError):
             self._play()
-        for topic in publishing.unacknowledged(self._playing, self._tick):
+        for topic in publishing.unacknowledged(self._playing, self._notice_signal):
             self.get_logger().warning(f"{topic}: a reliable subscriber hasn't acknowledged all messages")
 
     def close(self) -> None:
@@ -67,11 +68,13 @@ class Player(Node):
     def _play(self) -> None:
         its = self._settings
         publishing.wait_for_subscriptions(
-            self._playing, its.wait_for_subscriptions, its.wait_timeout, self._between
+            self._playing, its.wait_for_subscriptions, its.wait_timeout, self._notice_end
         )
-        self._sending.begin()
+        self._sending.begin(self._notice_end)
+        if its.lossless or its.wait_for_subscriptions:
+            wait_until_known(self, self._playing, self._notice_end)
         self.get_logger().info(f"playing {its.bag.path}: {', '.join(sorted(self._playing)) or 'nothing'}")
-        self._transport.seek(its.start_ns)
+        self._transport.begin(its.start_ns)
         while (start_ns := self._transport.take_target()) is not None:
             if self._play_from(start_ns) and its.loop and self._sending.count:
                 self._transport.seek(its.start_ns)
@@ -89,15 +92,18 @@ class Player(Node):
         return True
 
     def _between(self) -> None:
-        """While waiting: notice ~/stop and a signal, let the clock tick."""
+        """While playing: notice ~/stop and a signal, let the clock tick."""
+        self._notice_end()
+        self._ticks.tick_when_due()
+
+    def _notice_end(self) -> None:
         if self._transport.stopped:
             raise StoppedError
-        self._tick()
+        self._notice_signal()
 
-    def _tick(self) -> None:
+    def _notice_signal(self) -> None:
         if not self.context.ok():
             raise ExternalShutdownException
-        self._ticks.tick_when_due()
 
     def _report(self) -> Report:
         doing = "paused: " if self._transport.paused else ""

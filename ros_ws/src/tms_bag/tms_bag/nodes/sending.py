@@ -29,10 +29,10 @@ class Sending:
         self.delays = Delays()
         self.count = 0
 
-    def begin(self) -> None:
+    def begin(self, between: Callable[[], None]) -> None:
         """Wait for the consumers, if there is a window. RecordingError if they don't come."""
         if self._window:
-            self._window.begin(self._publishers.values(), self._between)
+            self._window.begin(self._publishers.values(), between)
 
     def send(self, record: Record, late: float | None) -> None:
         """Publish a message that is so late [s]; None: it belongs to no time, and isn't late."""

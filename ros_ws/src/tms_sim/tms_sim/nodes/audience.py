@@ -10,6 +10,7 @@ import rclpy
 from rclpy.node import Node
 from tms_bag import RecordingError
 from tms_bag.nodes.consumers import Consumers
+from tms_bag.nodes.listeners import wait_until_known
 
 from tms_sim.nodes.settings import Settings
 
@@ -25,7 +26,7 @@ class Audience:
         self._consumers = Consumers(node, settings.handled_topics)
 
     def wait(self, publishers: Collection[Any]) -> None:
-        """Return when all are there. RecordingError when they aren't in time."""
+        """Return when all are there, and know the publishers. RecordingError when they aren't in time."""
         deadline = time.monotonic() + self._patience
         while lacking := self._lacking(publishers):
             if time.monotonic() > deadline:
@@ -34,7 +35,12 @@ class Audience:
                     f" {', '.join(lacking)}; start them, or ask for less by wait_for_subscribers and"
                     " handled_topics"
                 )
-            rclpy.spin_once(self._node, timeout_sec=LOOK)
+            self._look()
+        if self._wanted or self._consumers.topics:
+            wait_until_known(self._node, [publisher.topic_name for publisher in publishers], self._look)
+
+    def _look(self) -> None:
+        rclpy.spin_once(self._node, timeout_sec=LOOK)
 
     def _lacking(self, publishers: Collection[Any]) -> list[str]:
         few = [p.topic_name for p in publishers if p.get_subscription_count() < self._wanted]

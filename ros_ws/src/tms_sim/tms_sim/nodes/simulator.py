@@ -7,7 +7,7 @@ from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -16,6 +16,7 @@ from tms_bag.nodes.diagnostics import Report, report_every_second
 from tms_bag.nodes.interfaces import OVERRIDABLE, clock_message, message_class, offered_profile
 from tms_bag.nodes.parameters import refuse_unknown_parameters
 from tms_bag.nodes.process import run_node
+from tms_bag.nodes.publishing import unacknowledged
 
 from tms_sim.live_run import LiveRun
 from tms_sim.nodes.audience import Audience
@@ -63,12 +64,16 @@ class Simulator(Node):
         self.create_timer(TICK, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME))
         while self._settings.stay or not self._live.finished:
             rclpy.spin_once(self, timeout_sec=0.1)
-        for publisher in self._outputs.values():
-            publisher.wait_for_all_acked(Duration(seconds=5))
+        for topic in unacknowledged(self._outputs, self._notice_signal):
+            self.get_logger().warning(f"{topic}: a reliable subscriber hasn't acknowledged all messages")
         self.get_logger().info(f"published {self._live.sent} messages")
 
     def close(self) -> None:
         """Nothing is left behind."""
+
+    def _notice_signal(self) -> None:
+        if not self.context.ok():
+            raise ExternalShutdownException
 
     def _advance(self) -> None:
         """Publish what has become due since the last look."""
