@@ -1,6 +1,7 @@
 """Bags in the making: packed in every way, split by size and time, paused, kept in memory until asked for."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -8,6 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, Record, RecordingError
+from tms_bag.writing import live_bag
 from tms_bag.writing.live_bag import LiveBag
 from tms_bag.writing.presets import PRESETS
 from tms_bag.writing.recent import RecentRecords
@@ -98,6 +100,20 @@ def test_a_split_bag_without_its_end_is_mended(tmp_path):
     writer.__exit__(None, None, None)
     repair(killed)
     assert [data for _, _, data in contents(killed)] == [record(number).data for number in range(250)]
+
+
+def test_what_was_taken_is_on_the_disk_a_quarter_of_a_second_later(tmp_path, monkeypatch):
+    now = 1000.0
+    monkeypatch.setattr(live_bag, "time", SimpleNamespace(monotonic=lambda: now))
+    bag = LiveBag(BagWriter(tmp_path / "bag", live=True))
+    for number in range(10):
+        bag.take(record(number), number)
+    for later, expected in ((1000.24, 0), (1000.26, 10)):
+        now = later
+        bag.flush_when_due()
+        with BagReader(tmp_path / "bag") as reader:
+            assert reader.message_count == expected
+    bag.close()
 
 
 def test_a_pause_leaves_out_and_counts(tmp_path):

@@ -20,7 +20,7 @@ from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 
 LOSS, DELAY = 0.10, 0.200  # share of frames; [s] each way
-PATIENCE = 120.0  # [s]
+PATIENCE = 300.0  # [s]
 UDP_ONLY = """<?xml version="1.0" encoding="UTF-8" ?>
 <profiles xmlns="http://www.eprosima.com">
   <transport_descriptors>

@@ -26,7 +26,7 @@ from tms_bag.qos import LATCHED
 from tms_bag.transport import Transport
 from tms_msgs.msg import Handled
 
-DEADLINE = 60.0  # [s]; generous, since nothing here measures speed
+DEADLINE = 300.0  # [s]; tells what hangs from what is slow
 EXECUTABLES = ("tms_bag", "tms_sim", "tms_fit")
 LATEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -185,7 +185,7 @@ def test_the_simulator_waits_for_an_estimator_that_comes_late(nodes: Any, partic
     counts = hear_handled(participant, "/lab/estimator/handled")
     simulator = nodes.start(
         *("tms_sim", "simulator", "-r", "__ns:=/lab"),
-        *words("handled_topics:=[estimator/handled]", "wait_timeout:=120.0", "rate:=20.0", "duration:=3.0"),
+        *words("handled_topics:=[estimator/handled]", "rate:=20.0", "duration:=3.0"),
     )
     participant.reach("/lab/simulator")
     estimator = nodes.start("tms_fit", "estimator", "-r", "__ns:=/lab")

@@ -62,7 +62,7 @@ def test_told_by_services(nodes: Any, participant: Any, bag: Path, records: list
 
 
 def test_one_that_plays_takes_no_steps(nodes: Any, participant: Any, bag: Path) -> None:
-    player = start(nodes, bag, "rate:=0.05")
+    player = start(nodes, bag, "rate:=0.01")
     answer = call(participant, Trigger, "play_next")
     assert not answer.success
     assert "call ~/pause first" in answer.message

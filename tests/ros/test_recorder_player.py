@@ -71,26 +71,26 @@ def test_what_is_published_is_in_the_bag_after_a_signal(nodes, participant, reco
         assert hashes["/run_info"] == messages.type_hash("tms_msgs/msg/RunInfo")
 
 
-def test_after_sigkill_at_most_the_last_second_is_missing(nodes, participant, make_records, tmp_path):
+def test_after_sigkill_all_is_there_that_was_on_the_disk(nodes, participant, make_records, tmp_path):
     recorder = start_recorder(nodes, tmp_path / "bag")
     records = [record for record in make_records(count=1500) if record.topic == "/imu/data_raw"]
     publisher = publishers_for(participant, records)["/imu/data_raw"]
     participant.spin_until(publisher.get_subscription_count, "the recorder finds the topic")
-    sent = []
-    for record in records:  # at least 3 s
-        sent.append(time.time_ns())
+    for record in records[:1000]:
+        publisher.publish(record.data)
+        time.sleep(0.002)
+    # By itself, with nothing that follows; how soon is tests/bag/test_live_bag.py's business.
+    nodes.wait_until(lambda: BagReader(tmp_path / "bag").message_count >= 1000, "all is on the disk")
+    for record in records[1000:]:
         publisher.publish(record.data)
         time.sleep(0.002)
     recorder.kill()
-    killed = time.time_ns()
     recorder.wait()
-    assert killed - sent[0] > 3 * 10**9
-    safe = [record.data for record, when in zip(records, sent, strict=True) if when < killed - 10**9]
     with BagReader(tmp_path / "bag") as reader:
         assert not reader.complete
         found = [record.data for record in reader.records(["/imu/data_raw"])]
     assert found == [record.data for record in records[: len(found)]]
-    assert len(found) >= len(safe) > 500
+    assert len(found) >= 1000
     repair(tmp_path / "bag")
     with AnyReader([tmp_path / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         chosen = [c for c in reader.connections if c.topic == "/imu/data_raw"]
@@ -180,7 +180,7 @@ def listen(participant, topic, kind, profile=LATEST):
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
 def test_messages_come_with_their_timing(nodes, participant, bag, records, rate):
-    sent = []
+    sent = []  # (time of sending [ns], bytes)
     participant.create_subscription(
         message_class("geometry_msgs/msg/TwistStamped"),
         "/bicycle/speed",
@@ -195,12 +195,12 @@ def test_messages_come_with_their_timing(nodes, participant, bag, records, rate)
     participant.spin_until(lambda: len(sent) == len(expected), "all messages arrive")
     nodes.finish(player)
     assert [data for _, data in sent] == [record.data for record in expected]
-    due = np.array([record.time_ns - expected[0].time_ns for record in expected]) / 1e9 / rate
-    early = due - np.array([when - sent[0][0] for when, _ in sent]) / 1e9
-    # None is sent before its time, however loaded the machine is: only the first's own lateness, of which the
-    # player tells the largest, makes others seem early.
-    told = re.search(r"at most ([0-9.]+) ms late", nodes.log("player").read_text())
-    assert early.max() < float(told[1]) / 1e3 + 0.1
+    due = np.array([record.time_ns - records[0].time_ns for record in expected]) / 1e9 / rate
+    # None is sent before its time, however busy the machine is; the player begins after it says so.
+    said = nodes.log("player").read_text()
+    begun = float(re.search(r"\[INFO\] \[([0-9.]+)\] \[player\]: playing", said)[1])
+    after = np.array([when for when, _ in sent]) / 1e9 - begun
+    assert np.all(after > due - 0.005)  # the wall's clock may be slewed by 0.5 ms/s
     assert due[-1] > 0.4  # so that a player without timing would show
 
 

@@ -79,7 +79,7 @@ def text(name: str, value: str) -> Parameter:
 
 
 def test_the_player_refuses_what_is_out_of_range_while_it_plays(nodes, participant, bag):
-    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.05")
+    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.01")
     request = SetParameters.Request(
         parameters=[
             number("rate", 5000.0),
@@ -91,11 +91,11 @@ def test_the_player_refuses_what_is_out_of_range_while_it_plays(nodes, participa
     results = participant.call(SetParameters, "/player/set_parameters", request).results
     assert [result.successful for result in results] == [False, False, False, True]
     assert all(result.reason for result in results[:3])
-    nodes.finish(player)  # 40 s at the first rate, at once at the last
+    nodes.finish(player)  # 200 s at the first rate, at once at the last
 
 
 def test_parameters_are_described_with_their_ranges(nodes, participant, bag):
-    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.05")
+    player = nodes.start("tms_bag", "player", "-p", f"bag:={bag}", "-p", "rate:=0.01")
     names = ["bag", "rate", "start_offset", "loop", "publish_clock", "topics", "wait_for_subscriptions"]
     request = DescribeParameters.Request(names=names)
     described = participant.call(DescribeParameters, "/player/describe_parameters", request).descriptors
@@ -149,11 +149,14 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
     # A limit on the size of files fails as a full disk does, in the middle of a write.
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'new'}")
     nodes.wait_for("recorder", "recording to")
-    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
     player = nodes.start(
         *("tms_bag", "player", "-p", f"bag:={bag}", "-p", "wait_for_subscriptions:=3", "-p", "loop:=true"),
         *("-p", "rate:=5.0"),
     )
+    (file,) = (tmp_path / "new").glob("*.mcap")
+    nodes.wait_until(lambda: BagReader(tmp_path / "new").message_count > 0, "messages are on the disk")
+    full = file.stat().st_size + 1000
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (full, full))
     nodes.finish(recorder, code=1)
     nodes.stop(player)
     line = only_line(nodes, "recorder")

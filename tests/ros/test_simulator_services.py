@@ -10,7 +10,7 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -22,7 +22,7 @@ from visualization_msgs.msg import Marker
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def listen(participant: Any, kind: Any, name: str, qos: Any = qos_profile_sensor_data) -> list[Any]:
+def listen(participant: Any, kind: Any, name: str, qos: Any = 1000) -> list[Any]:
     heard: list[Any] = []
     participant.create_subscription(kind, name, heard.append, qos)
     return heard
@@ -32,11 +32,12 @@ def test_start_strike_stop_reset(nodes: Any, participant: Any) -> None:
     states = listen(participant, BicycleState, "bicycle/state")
     infos = listen(participant, RunInfo, "run_info", LATCHED)
     process = nodes.start(
-        "tms_sim", "simulator", "-p", "autostart:=false", "-p", "stay:=true", "-p", "rate:=5.0",
+        "tms_sim", "simulator", "-p", "autostart:=false", "-p", "stay:=true", "-p", "rate:=0.3",
         "-p", "scenario:=tms_strike_ideal",
     )  # fmt: skip
     assert participant.call(Trigger, "/simulator/stop").success
     assert states == []  # it waits for the start
+    participant.client(Strike, "/simulator/strike")  # now, so that it doesn't take time of the run
     assert participant.call(Trigger, "/simulator/start").success
     participant.spin_until(lambda: len(states) > 20, "the run goes on")
     struck = participant.call(Strike, "/simulator/strike", Strike.Request(lean_rate=0.3))
@@ -66,8 +67,12 @@ def test_faults_set_while_the_run_goes_on(nodes: Any, participant: Any) -> None:
         "-p",
         "stay:=true",
         "-p",
+        "rate:=0.3",
+        "-p",
         "scenario:=tms_strike_ideal",
     )
+    for kind, name in ((SetParameters, "set_parameters"), (GetParameters, "get_parameters")):
+        participant.client(kind, f"/simulator/{name}")  # now, so that it doesn't take time of the run
     assert participant.call(Trigger, "/simulator/start").success
     participant.spin_until(lambda: len(states) > 20 and len(infos) == 1, "the run goes on")
     assert set_faults(participant, "bias_jump") == ""

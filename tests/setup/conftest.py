@@ -63,7 +63,7 @@ def bash(clean_environment: dict[str, str]) -> Callable[..., "subprocess.Complet
             env=clean_environment | variables,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=600,
             check=False,
         )
 

@@ -10,7 +10,7 @@ TMS = Path(__file__).resolve().parents[2] / "tms"
 
 def tms(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
-        [TMS, *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+        [TMS, *arguments], cwd=cwd, capture_output=True, text=True, timeout=600, check=False
     )
 
 
@@ -22,7 +22,8 @@ def one_line(text: str) -> str:
 @pytest.mark.parametrize("arguments", [[], ["help"], ["--help"]])
 def test_help_lists_the_commands_and_sets_nothing_up(arguments, copy_to, tmp_path):
     copy = copy_to(tmp_path / "copy")
-    done = subprocess.run([copy / "tms", *arguments], capture_output=True, text=True, timeout=10, check=False)
+    command = [copy / "tms", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     for command in ("demo", "run PACKAGE EXECUTABLE", "shell", "test", "lint", "setup", "clean"):
         assert command in done.stdout
@@ -84,7 +85,7 @@ def test_discovery_stays_on_this_machine_unless_told_otherwise(tmp_path, clean_e
     for given, expected in [({}, "LOCALHOST\n"), ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "SUBNET\n")]:
         environment = clean_environment | given
         done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=True
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600, check=True
         )
         assert done.stdout == expected
 

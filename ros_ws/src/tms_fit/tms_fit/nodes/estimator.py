@@ -37,11 +37,11 @@ class Estimator(Node):
         self._fit = LiveFit(settings.fit, settings.bicycle, settings.reorder_window, settings.preview_period)
         self._last = time.monotonic()
         # Estimates are few and must not be missed by who comes late; filter states are a stream like any
-        # sensor's.
+        # sensor's, and come as many at a time as samples have waited.
         latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         offered = {
             ESTIMATE: (ESTIMATE_TYPE, latched),
-            FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=100)),
+            FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=DEPTH)),
         }
         self._outputs = {
             f"/{topic}": self.create_publisher(
@@ -73,6 +73,7 @@ class Estimator(Node):
         self._handled.add(topic)
 
     def _finish_when_idle(self) -> None:
+        self._intake.handle()  # what waits since this process was held up is no silence
         if time.monotonic() - self._last > self._idle:
             self._last = float("inf")
             self._publish(self._fit.finish())
