@@ -489,7 +489,7 @@ def test_a_topic_of_a_type_that_nobody_knows_is_told(tmp_path):
         writer = Writer(file)
         writer.start(profile="ros2", library="x")
         channel = writer.register_channel(
-            "/strange", "cdr", writer.register_schema("no_msgs/msg/Strange", "ros2msg", b"")
+            "/strange", "cdr", writer.register_schema("no_msgs/msg/Strange", "", b"")
         )
         writer.add_message(channel, 1, b"\x00\x01\x00\x00abc", 1)
         writer.finish()
