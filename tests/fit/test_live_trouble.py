@@ -110,3 +110,18 @@ def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -
         tracemalloc.stop()
     assert fit.counts["strikes"] >= 19
     assert sizes[1] - sizes[0] < 0.1 * sizes[0]
+
+
+def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes() -> None:
+    fit = LiveFit(FitSettings())
+    starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.running.live.MOST_RUNS + 2)]
+    for start_ns in starts:
+        taken(fit, [announced(), *stream(start_ns, 1)])
+    fit.finish()
+    longer = FitSettings(window=3.0)
+    spans = [
+        np.ptp(fit.refit(start_ns + 2 * SECOND, longer).stretch.time_ns) / SECOND
+        for start_ns in (starts[0], starts[1], starts[2], starts[-1])
+    ]
+    usual = FitSettings().window
+    assert spans == pytest.approx([usual, usual, 3.0, 3.0], abs=0.1)

@@ -6,9 +6,12 @@ import ast
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tms_bag.nodes.loopback import LOOPBACK, stay_on_this_machine
 from tms_bag.nodes.security import dds_has_security, security_asked_for
 
 NODES = {"recorder": "tms_bag", "player": "tms_bag", "simulator": "tms_sim", "estimator": "tms_fit"}
@@ -48,6 +51,60 @@ def test_no_node_starts_where_its_enclave_would_mean_nothing(name: str) -> None:
 )
 def test_what_asks_for_security(arguments: list[str], environment: dict[str, str], asked: str) -> None:
     assert security_asked_for(arguments, environment) == asked
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_socket_of_a_node_is_on_the_loopback(
+    nodes: Any, participant: Any, name: str, bag: Path
+) -> None:
+    arguments = {
+        "player": ["-p", f"bag:={bag}", "-p", "start_paused:=true"],
+        "simulator": ["-p", "autostart:=false"],
+    }
+    node = nodes.start(NODES[name], name, *arguments.get(name, []))
+    participant.reach(f"/{name}")
+    assert sockets(node.pid) == {"127.0.0.1"}
+    nodes.stop(node)
+
+
+def sockets(process: int) -> set[str]:
+    """Local addresses of a process's sockets over UDP and TCP."""
+    own = set()
+    for one in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            own.add(str(one.readlink()))
+    found = set()
+    for table in ("udp", "udp6", "tcp", "tcp6"):
+        for line in Path(f"/proc/{process}/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if f"socket:[{fields[9]}]" in own:
+                address = bytes.fromhex(fields[1].partition(":")[0])
+                found.add(".".join(str(byte) for byte in reversed(address)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, ("SYSTEM_DEFAULT", str(LOOPBACK))),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, ("SUBNET", None)),
+        ({}, (None, None)),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.2"}, ("LOCALHOST", None)),
+        (
+            {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"},
+            ("LOCALHOST", "mine.xml"),
+        ),
+    ],
+)
+def test_who_says_how_far_to_reach_gets_that(
+    environment: dict[str, str], expected: tuple[str | None, str | None]
+) -> None:
+    stay_on_this_machine(environment)
+    found = (
+        environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE"),
+        environment.get("FASTRTPS_DEFAULT_PROFILES_FILE"),
+    )
+    assert found == expected
 
 
 def test_nothing_but_dds_listens_on_a_network() -> None:

@@ -42,6 +42,8 @@ class OrderedIntake:
             self._intakes[topic].adapt([profile])
         self._node = node
         self._held: list[Message] = []
+        self._latest_ns = 0
+        self.out_of_order = 0  # messages handled after one that was sent later
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self.handle, clock=steady)
         node.create_timer(LOOK_PERIOD, self._adapt, clock=steady)
@@ -72,5 +74,7 @@ class OrderedIntake:
         self._held.append((sent_ns, arrived_ns, topic, data))
 
     def _give(self, messages: Iterable[Message]) -> None:
-        for _, _, topic, data in messages:
+        for sent_ns, _, topic, data in messages:
+            self.out_of_order += sent_ns < self._latest_ns
+            self._latest_ns = max(self._latest_ns, sent_ns)
             self._take(topic, data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from tms_model import ParameterError
 
 from tms_bag.errors import RecordingError
+from tms_bag.nodes.loopback import stay_on_this_machine
 from tms_bag.nodes.security import refuse_without_security
 
 RCLError = rclpy_implementation.RCLError
@@ -44,6 +46,7 @@ def run_node(create: Callable[[], Runnable], args: list[str] | None = None) -> i
             print(_usage(create))
             return 0
         refuse_without_security(args)
+        stay_on_this_machine(os.environ)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except (*BAD_ARGUMENTS, ParameterError) as error:
         return _complain(error, 2)

@@ -65,7 +65,12 @@ class Estimator(Node):
     def close(self) -> None:
         """Say what came."""
         self._bag_fits.close()
-        print(f"estimator: {self._fit.diagnostics}", file=sys.stderr)
+        print(f"estimator: {self._counts}", file=sys.stderr)
+
+    @property
+    def _counts(self) -> dict[str, int]:
+        late = self._intake.out_of_order
+        return self._fit.diagnostics | ({"out_of_order": late} if late else {})
 
     def _take(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()
@@ -90,7 +95,7 @@ class Estimator(Node):
             else f"bicycle {self._fit.bicycle}"
         )
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
-        return text, not waiting and not lost, {**self._fit.diagnostics, **lost, **self._fit.slow_states}
+        return text, not waiting and not lost, {**self._counts, **lost, **self._fit.slow_states}
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

@@ -27,6 +27,7 @@ GAP = 500_000_000  # [ns] between IMU samples that is counted as one
 WAIT_FOR_RUN_INFO = 100  # IMU samples to wait for a run_info when the bicycle was given
 MOST_HELD = 100_000  # messages kept while the bicycle isn't known; the oldest go first
 MOST_STRIKES = 100  # that can be fitted once more
+MOST_RUNS = 10  # whose samples are kept, so that a window may become longer
 SAME_STRIKE = 100_000_000  # [ns] between the start that is asked for and the strike that is meant
 REORDER_WINDOW = 0.1  # [s]
 PREVIEW_PERIOD = 0.25  # [s]
@@ -54,6 +55,7 @@ class LiveFit:
         self._online: OnlineFit | None = None
         self._held: deque[tuple[str, Record]] = deque(maxlen=MOST_HELD)
         self._strikes: deque[tuple[OnlineFit, StrikeFit]] = deque(maxlen=MOST_STRIKES)
+        self._runs: deque[OnlineFit] = deque()  # that have ended, the latest ones
         self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
 
@@ -125,6 +127,10 @@ class LiveFit:
     def _restart(self) -> None:
         if self._online is not None:
             self.counts.update(self._online.counts)
+            if self._newest_ns:
+                self._runs.append(self._online)
+            if len(self._runs) > MOST_RUNS:
+                self._runs.popleft().forget()
         name = self._given or (self._info.bicycle if self._info else "")
         self._newest_ns = 0
         self._online = None

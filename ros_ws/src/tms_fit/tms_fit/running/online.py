@@ -141,6 +141,11 @@ class OnlineFit:
             stretch = self._stretch(first_ns, end_ns)
         return fit_strike(fit.strike, stretch, bicycle, settings)
 
+    def forget(self) -> None:
+        """Let go of all samples; a window can't become longer any more."""
+        self._used, self._filter, self._detector = [], None, GivenStrikes(())
+        self._aligned = Alignment(0.0, None)
+
     def _to_rear_frame(self, angular_velocity: Array) -> Array:
         if math.isfinite(angular_velocity.sum()):  # nothing is absent
             turned: Array = flip_axes(angular_velocity[None, :] @ self._rotation.T)[0]
