@@ -96,9 +96,7 @@ def conditions(scenario: Scenario, rng: np.random.Generator) -> Conditions:
         lean=math.radians(scenario.number("release.lean_deg")) * rng.standard_normal(),
         lean_rate=scenario.number("release.lean_rate") * rng.standard_normal(),
         phase=rng.uniform(0.0, 2.0 * math.pi),
-        load=nonlinear_load(scenario, bicycle, acceleration)
-        if scenario.switch("effects.nonlinear")
-        else None,
+        load=nonlinear_load(scenario, plant) if scenario.switch("effects.nonlinear") else None,
     )
     end = min(scenario.number("duration"), start.stop)
     return replace(start, joints=tuple(_joints(start, floor, end, rng)))

@@ -104,8 +104,7 @@ KEYS: dict[str, Key] = {
     "imu.rate": Key(float, "samples a second [Hz]", 1.0, 4000.0),
     "imu.raw_rate": Key(
         float,
-        "samples a second on imu/data_raw, of which the other topics hold each second, third, ...: a whole"
-        " multiple of imu.rate; 0: imu.rate [Hz]",
+        "samples a second on imu/data_raw, a whole multiple of imu.rate; 0: imu.rate [Hz]",
         0.0,
         4000.0,
         0.0,

@@ -7,7 +7,7 @@ integrated; strikes and joints act as on the upright bicycle, and the hands befo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
@@ -19,12 +19,12 @@ from tms_model.response import LEAN, STEER
 from tms_model.rolling import YAW_RATE
 
 from tms_sim.motion import CHANNELS, Event, Trajectory
+from tms_sim.plant import Plant
 from tms_sim.scenario import Scenario
 from tms_sim.steps import ORDER, bridge
 
 STEP = 0.005  # [s]; polynomials of the fifth order between such states are right to 1e-9 rad (a test)
-_ROLLING_ONLY = ("effects.slip", "effects.scrub", "effects.shimmy")
-_SYMMETRIC_ONLY = ("asymmetry.rear_frame", "asymmetry.front_frame")
+_LINEAR_ONLY = ("effects.slip", "effects.scrub", "effects.shimmy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +40,21 @@ class FreeRide:
     stopped: bool  # it has rolled to a stop
 
 
-def nonlinear_load(scenario: Scenario, bicycle: Bicycle, acceleration: float) -> Load:
-    """What slows a scenario's nonlinear bicycle. Raises ParameterError for what only the linear one has."""
-    wrong = [key for key in _ROLLING_ONLY if scenario.switch(key)]
-    wrong += [key for key in _SYMMETRIC_ONLY if scenario.number(key)]
+def nonlinear_load(scenario: Scenario, plant: Plant) -> Load:
+    """What slows a scenario's nonlinear bicycle, and what its offset mass does, as on the upright bicycle.
+
+    Raises ParameterError for what only the linear bicycle has.
+    """
+    wrong = [key for key in _LINEAR_ONLY if scenario.switch(key)]
     if wrong:
         raise ParameterError(
-            f"effects.nonlinear: expected wheels that roll and a symmetric bicycle, found"
-            f" {', '.join(wrong)}; switch these off (false, or 0), or effects.nonlinear"
+            f"effects.nonlinear: expected only what its equations hold, found {', '.join(wrong)}, which act"
+            " in the linear equations alone; switch them off"
+            f" ({' '.join(f'--set {key}=false' for key in wrong)}), or effects.nonlinear"
         )
-    return resistance_load(whipple_parameters(bicycle), acceleration)
+    slows = resistance_load(whipple_parameters(plant.bicycle), plant.acceleration)
+    lean, steer = (plant.projection @ plant.moments).tolist()
+    return replace(slows, lean_torque=lean, steer_torque=steer)
 
 
 def free_ride(

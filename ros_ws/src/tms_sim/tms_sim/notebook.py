@@ -135,7 +135,9 @@ def _steer_rate(axes: Axes, page: Page) -> None:
 def _speed(axes: Axes, page: Page) -> None:
     speed = page.recording.speed
     if speed is not None:
-        axes.plot(page.seconds(speed.time_ns), speed.speed, ".", ms=2, color=MEASURED, label="measured")
+        few = len(speed.time_ns) < 10  # the camera's one
+        axes.plot(page.seconds(speed.time_ns), speed.speed, ".", ms=9 if few else 2, color=MEASURED, zorder=3,
+                  label="measured")  # fmt: skip
     axes.plot(page.seconds(page.state.time_ns), page.state.speed, color=TRUE, lw=1.2, label="speed")
     axes.set_ylabel("speed [m/s]")
 
