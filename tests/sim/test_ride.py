@@ -167,6 +167,27 @@ def test_kick_of_a_strike_on_the_upper_tube(go: Any) -> None:
     assert motion.yaw_rate.min() / 0.5 == pytest.approx(-1.1, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("kick", "slip", "lowest", "lasts"),
+    [
+        (True, True, -0.22, 0.23),
+        (True, False, -0.22, 0.22),
+        (False, True, -0.02, 0.03),
+        (False, False, 0.0, 0.0),
+    ],
+)
+def test_table_of_what_reverses_the_yaw(go: Any, kick: bool, slip: bool, lowest: float, lasts: float) -> None:
+    run = go(
+        "gym_run", effects__shimmy=False, effects__steer_kick=kick, effects__slip=slip,
+        release__lean_deg=0.0, release__lean_rate=0.0, asymmetry__rear_frame=0.0,
+    )  # fmt: skip
+    yaw_rate = run.at(np.arange(4.0, 5.0, 1e-4)).yaw_rate
+    assert yaw_rate.min() == pytest.approx(lowest, abs=0.005)  # as docs/experiment.md prints them
+    assert 1e-4 * (yaw_rate < -1e-6).sum() == pytest.approx(lasts, abs=0.005)
+    slides = [event.duration for event in run.events if event.kind == "slip"]
+    assert slides == pytest.approx([0.011] if slip else [], abs=0.001)
+
+
 def test_slip_alone_reverses_the_yaw_and_the_front_wheel_recovers(go: Any) -> None:
     # Struck to the right with the handlebars held against the kick, the front wheel slides to the left.
     run = go("gym_run", effects__steer_kick=False, effects__shimmy=False, strike__lean_rate=0.4)

@@ -135,9 +135,9 @@ def _steer_rate(axes: Axes, page: Page) -> None:
 def _speed(axes: Axes, page: Page) -> None:
     speed = page.recording.speed
     if speed is not None:
-        few = len(speed.time_ns) < 10  # the camera's one
-        axes.plot(page.seconds(speed.time_ns), speed.speed, ".", ms=9 if few else 2, color=MEASURED, zorder=3,
-                  label="measured")  # fmt: skip
+        size, above = (9, 3) if len(speed.time_ns) < 10 else (2, 2)  # the camera's one is to be seen
+        seconds = page.seconds(speed.time_ns)
+        axes.plot(seconds, speed.speed, ".", ms=size, color=MEASURED, zorder=above, label="measured")
     axes.plot(page.seconds(page.state.time_ns), page.state.speed, color=TRUE, lw=1.2, label="speed")
     axes.set_ylabel("speed [m/s]")
 
