@@ -1,6 +1,7 @@
 """Recording: what each way of packing costs, and how many messages a second two processes carry without loss.
 
 ./tms shell -c 'python benchmarks/recording.py'                       packing, then 2 kHz for 60 s, twice
+./tms shell -c 'python benchmarks/recording.py --packing'             only packing
 ./tms shell -c 'python benchmarks/recording.py --limit'               up to the rate where something is lost
 """
 
@@ -13,17 +14,22 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from measure import in_turn, print_machine, print_timings
+import yaml
+from measure import in_turn, print_machine
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, Record, conversion
 from tms_bag.samples import ImuSamples
 from tms_bag.writing.presets import PRESETS
+from tms_sim.run import simulate
+from tms_sim.scenario import load_scenario
 
 IMU = "sensor_msgs/msg/Imu"
+LIVE_CHUNK = 100  # messages of 0.25 s at 400 Hz
 
 
 def imu_records(count: int) -> list[Record]:
@@ -35,19 +41,32 @@ def imu_records(count: int) -> list[Record]:
     )
 
 
-def compare_packing(count: int, repeats: int) -> None:
-    """Time and size of a bag of IMU messages, packed in each way and by rosbags."""
-    records = imu_records(count)
-    store = get_typestore(Stores.ROS2_JAZZY)
+def ride_records(count: int) -> list[Record]:
+    """What a simulated sensor with all its errors measures at 400 Hz while a bicycle is struck and coasts."""
+    changes = {"imu.rate": 400.0, "duration": count / 400.0 + 1.0}
+    scenario = load_scenario("tms_strike", changes)
+    run = simulate(scenario, np.random.default_rng(1))
+    return [record for record in run.records() if record.topic == "/imu/data_raw"][:count]
+
+
+def compare_packing(title: str, records: list[Record], repeats: int) -> None:
+    """Processor time and size of a bag of IMU messages, packed in each way and by rosbags.
+
+    Once as `sim run` or an import writes it, once as the recorder does, with a chunk completed every 0.25 s.
+    """
+    count, store = len(records), get_typestore(Stores.ROS2_JAZZY)
+    raw = sum(len(record.data) for record in records)
     sizes: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
 
-        def packed(preset: str) -> None:
-            path = Path(folder) / preset
-            with BagWriter(path, overwrite=path.exists(), preset=preset) as bag:
-                for record in records:
+        def packed(preset: str, live: bool) -> None:
+            path = Path(tempfile.mkdtemp(dir=folder)) / "bag"
+            with BagWriter(path, preset=preset) as bag:
+                for number, record in enumerate(records):
                     bag.write(record)
-            sizes[preset] = (path / f"{preset}_0.mcap").stat().st_size / count
+                    if live and number % LIVE_CHUNK == LIVE_CHUNK - 1:
+                        bag.flush()
+            sizes[name_of(preset, live)] = (path / "bag_0.mcap").stat().st_size / raw
 
         def by_rosbags() -> None:
             path = Path(tempfile.mkdtemp(dir=folder)) / "bag"
@@ -55,13 +74,25 @@ def compare_packing(count: int, repeats: int) -> None:
                 connection = bag.add_connection(records[0].topic, IMU, typestore=store)
                 for record in records:
                     bag.write(connection, record.time_ns, record.data)
+            sizes["rosbags, not compressed"] = (path / "bag.mcap").stat().st_size / raw
 
-        ways = {f"preset {name}": (lambda name=name: packed(name)) for name in PRESETS}
-        timings = in_turn({**ways, "rosbags (not compressed)": by_rosbags}, repeats)
-    print_timings(
-        f"write {count} IMU messages of {len(records[0].data)} bytes", timings, "rosbags (not compressed)"
-    )
-    print("  bytes a message: " + ", ".join(f"{name} {size:.0f}" for name, size in sizes.items()))
+        ways: dict[str, Callable[[], object]] = {
+            name_of(preset, live): (lambda preset=preset, live=live: packed(preset, live))
+            for preset in PRESETS
+            for live in (False, True)
+        }
+        timings = in_turn({**ways, "rosbags, not compressed": by_rosbags}, repeats)
+    print(f"\n{title}: {count} messages of {raw / count:.0f} bytes, {repeats} times each")
+    print("| way | processor time a message [us] | MB/s of one core | size of the file / of the messages |")
+    print("|---|---|---|---|")
+    for name, timing in timings.items():
+        took = timing.processor_median
+        print(f"| {name} | {1e6 * took / count:.1f} | {raw / took / 1e6:.0f} | {sizes[name]:.2f} |")
+
+
+def name_of(preset: str, live: bool) -> str:
+    """How a way to pack is called in the table."""
+    return f"{preset}, recorded" if live else preset
 
 
 def publish(topics: int, rate: float, duration: float) -> None:
@@ -88,8 +119,8 @@ def publish(topics: int, rate: float, duration: float) -> None:
     rclpy.shutdown()
 
 
-def record_load(topics: int, rate: float, duration: float) -> tuple[int, int, float]:
-    """Messages sent, messages in the bag, and the recorder's share of one core."""
+def record_load(topics: int, rate: float, duration: float) -> tuple[int, int, dict[str, int], float]:
+    """Messages sent, in the bag, lost by topic as the bag says, and the recorder's share of one core."""
     with tempfile.TemporaryDirectory() as folder:
         command = [
             sys.executable,
@@ -109,7 +140,10 @@ def record_load(topics: int, rate: float, duration: float) -> tuple[int, int, fl
         recorder.send_signal(signal.SIGINT)
         recorder.wait()
         with BagReader(f"{folder}/bag") as bag:
-            return int(published.stdout.split()[-1]), bag.message_count, share
+            lost = yaml.safe_load(bag.custom_data["lost"])
+            for topic, number in yaml.safe_load(bag.custom_data["sent_before_recording"]).items():
+                lost[topic] = lost.get(topic, 0) + number
+            return int(published.stdout.split()[-1]), bag.message_count, lost, share
 
 
 def processor_time(process: int) -> float:
@@ -120,10 +154,13 @@ def processor_time(process: int) -> float:
 
 def report_load(topics: int, rate: float, duration: float) -> bool:
     """One line; returns whether all arrived at the rate that was asked for."""
-    sent, recorded, share = record_load(topics, rate, duration)
+    sent, recorded, counted, share = record_load(topics, rate, duration)
+    worst = max(counted, key=lambda topic: counted[topic], default="")
+    by_topic = f" of {len(counted)} topics, most {counted[worst]} of {worst}" if worst else ""
     print(
         f"  {topics:3d} topics, {rate:7.0f} messages/s asked, {sent / duration:7.0f} sent, {duration:g} s:"
-        f" {sent} sent, {recorded} in the bag, {sent - recorded} lost; recorder {share:.0%} of a core,"
+        f" {sent} sent, {recorded} in the bag, {sent - recorded} lost, the bag says"
+        f" {sum(counted.values())}{by_topic}; recorder {share:.0%} of a core,"
         f" load {os.getloadavg()[0]:.1f}",
         flush=True,
     )
@@ -134,6 +171,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="little of everything")
+    parser.add_argument("--packing", action="store_true", help="only what each way of packing costs")
     parser.add_argument("--limit", action="store_true", help="raise the rate until something is lost")
     parser.add_argument(
         "--load", nargs=3, type=float, metavar=("TOPICS", "RATE", "SECONDS"), help="only this load"
@@ -149,14 +187,16 @@ def main() -> None:
         report_load(int(arguments.load[0]), *arguments.load[1:])
     elif arguments.limit:
         for topics in (20, 1):
-            for rate in (2000, 5000, 10_000, 15_000, 20_000, 30_000):
+            for rate in (5000, 10_000, 15_000, 20_000, 30_000):
                 if not report_load(topics, rate, 20.0):
                     break
     else:
-        compare_packing(*((2000, 2) if arguments.quick else (100_000, 5)))
-        print("\nrecord what another process publishes, sensor_msgs/Imu")
-        for topics in (20, 1):
-            report_load(topics, *((200, 1.0) if arguments.quick else (2000, 60.0)))
+        count, repeats = (1000, 1) if arguments.quick else (10_000, 5)
+        compare_packing("a simulated ride at 400 Hz", ride_records(count), repeats)
+        if not arguments.packing:
+            print("\nrecord what another process publishes, sensor_msgs/Imu")
+            for topics in (20, 1):
+                report_load(topics, *((200, 1.0) if arguments.quick else (2000, 60.0)))
 
 
 if __name__ == "__main__":

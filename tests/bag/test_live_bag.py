@@ -1,5 +1,7 @@
 """Bags in the making: packed in every way, split by size and time, paused, kept in memory until asked for."""
 
+import resource
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -114,6 +116,37 @@ def test_what_was_taken_is_on_the_disk_a_quarter_of_a_second_later(tmp_path, mon
         with BagReader(tmp_path / "bag") as reader:
             assert reader.message_count == expected
     bag.close()
+
+
+@pytest.fixture
+def no_room() -> Iterator[Callable[[int], None]]:
+    """Files may grow to so many bytes, as on a disk that is full; -1: as far as they like."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("preset", ["none", "zstd", "fastwrite"])
+def test_a_bag_whose_disk_was_full_does_not_look_whole(tmp_path, no_room, preset):
+    bag = LiveBag(BagWriter(tmp_path / "bag", live=True, preset=preset))
+
+    def fill() -> None:
+        for number in range(100_000):
+            bag.take(record(number), number)
+            if number % 500 == 499:
+                bag.writer.flush()
+
+    no_room(200_000)
+    with pytest.raises(OSError, match="File too large"):
+        fill()
+    no_room(-1)  # somebody makes room
+    with pytest.raises(OSError, match="File too large"):
+        bag.close()
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
+    repair(tmp_path / "bag")
+    found = [data for _, _, data in contents(tmp_path / "bag")]
+    assert len(found) >= 500
+    assert found == [record(number).data for number in range(len(found))]
 
 
 def test_a_pause_leaves_out_and_counts(tmp_path):

@@ -15,13 +15,18 @@ MESSAGE_OVERHEAD = 31 + 16  # [bytes] of a message in a chunk beside its data: r
 
 
 class McapFile:
-    """A file that is being written. OSError when the system doesn't take what is written."""
+    """A file that is being written. OSError when the system doesn't take what is written.
+
+    Nothing more is written then: part of a chunk may be missing, and what came after it would make the file
+    look whole.
+    """
 
     def __init__(self, path: Path, preset: Preset) -> None:
         self.path = path
         self.message_count = 0
         self.time_range: tuple[int, int] | None = None  # earliest and latest log time [ns]
         self._chunked = preset.chunk_size > 0
+        self._failure: OSError | None = None
         self._pending = 0  # [bytes] in the chunk that isn't complete yet
         self._channels: dict[str, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
@@ -49,7 +54,11 @@ class McapFile:
     def write(self, record: Record) -> None:
         """Append a message of an announced topic."""
         sent = record.time_ns if record.publish_time_ns is None else record.publish_time_ns
-        self._mcap.add_message(self._channels[record.topic], record.time_ns, record.data, sent)
+        try:
+            self._mcap.add_message(self._channels[record.topic], record.time_ns, record.data, sent)
+        except OSError as error:
+            self._failure = error
+            raise
         if self._chunked:
             self._pending += len(record.data) + MESSAGE_OVERHEAD
         self.message_count += 1
@@ -62,15 +71,22 @@ class McapFile:
 
     def flush(self) -> None:
         """Complete the chunk and hand everything to the operating system: a kill can't take it back."""
-        self._mcap.flush()
+        try:
+            self._mcap.flush()
+        except OSError as error:
+            self._failure = error
+            raise
         self._pending = 0
 
     def duplicate_handle(self) -> int:
         """A file descriptor of its own for whoever calls fsync; to be closed by him."""
         return os.dup(self._file.fileno())
 
-    def finish(self) -> None:
-        """Write the summary, bring everything to the disk and close."""
+    def finish(self, text: str) -> None:
+        """Write metadata and summary, bring all to the disk, close. OSError if something was not taken."""
+        if self._failure:
+            raise self._failure
+        self.add_metadata(text)
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())  # the name of a finished bag must not come before its content

@@ -183,8 +183,7 @@ class BagWriter:
         return file
 
     def _finish_file(self) -> None:
-        self._file.add_metadata(metadata.to_text(self._information(self._file)))
-        self._file.finish()
+        self._file.finish(metadata.to_text(self._information(self._file)))
         self._files.append(_information_of(self._file))
 
     def _information(self, current: McapFile | None = None) -> dict[str, Any]:
