@@ -11,6 +11,7 @@ import scipy.linalg
 from tms_fit.kalman.coasting import MAX_STEP, Coasting
 from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, FirstGuess, Wandering
 from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
+from tms_fit.kalman.transitions import Transitions
 from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_model import ParameterError, bicycle_names, linear_system, load_bicycle
@@ -114,7 +115,7 @@ def drawn(seed: int, count: int = 80) -> tuple[np.ndarray, FilterStep]:
         if k:
             taken = coasting.step(STEP_NS / 1e9, truth[SPEED], truth[RESISTANCE])
             phi = taken.transition[:4, :4]
-            process = 0.5 * STEP_NS / 1e9 * (density + phi @ density @ phi.T) + 1e-18 * np.eye(4)
+            process = Transitions(bicycle, density).at(truth[SPEED], STEP_NS / 1e9)[2]
             truth[:4] = phi @ truth[:4] + np.linalg.cholesky(process) @ rng.standard_normal(4)
             truth[SPEED] = taken.speed
             truth[4:] += np.sqrt(STEP_NS / 1e9) * np.array(wander) * rng.standard_normal(4)

@@ -125,3 +125,21 @@ def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes(
     ]
     usual = FitSettings().window
     assert spans == pytest.approx([usual, usual, 3.0, 3.0], abs=0.1)
+
+
+def test_what_waits_for_the_bicycle_is_bounded_and_the_loss_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tms_fit.running.live, "MOST_HELD", 50)
+    fit, sent = LiveFit(FitSettings()), list(islice(stream(SECOND, 1), 200))
+    assert taken(fit, sent) == []
+    assert fit.diagnostics["forgotten"] == 150
+    answers = taken(fit, [announced()]) + fit.finish()
+    kept = [data for topic, data in sent[-50:] if topic == topics.IMU]
+    assert len([one for one in answers if one.topic == "/filter_state"]) == len(kept)
+
+
+def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
+    fit = LiveFit(FitSettings())
+    (mad,) = conversion.speed_records(SpeedSamples(np.array([SECOND]), np.array([1e200])))
+    samples = [one for one in stream(SECOND, 1) if one[0] == topics.IMU]
+    answers = taken(fit, [announced(), (topics.SPEED, mad.data), *samples]) + fit.finish()
+    assert [one.topic for one in answers if one.topic == "/filter_state"] == []

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FIRST_STD, FilterStep, RunningFilter
+from tms_fit.kalman.transitions import Transitions
 from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, stability, yaw_rate
@@ -15,13 +17,21 @@ STEP_NS = 10_000_000
 NOISE = 0.02  # [rad/s]
 
 
+def disturbed(a: np.ndarray, density: np.ndarray, step: float) -> np.ndarray:
+    """Covariance (n, n) that white noise makes in a step, by Van Loan's exponential and scipy."""
+    size = len(a)
+    blocks = np.block([[-a, density], [np.zeros((size, size)), a.T]]) * step
+    whole: np.ndarray = expm(blocks)
+    return whole[size:, size:].T @ whole[:size, size:]
+
+
 def matching_run(bicycle: str, speed: float, count: int, seed: int) -> tuple[np.ndarray, list[FilterStep]]:
     """True states (count, 4) drawn from the filter's own linear model, and the filter that sees them."""
     rng = np.random.default_rng(seed)
     system = linear_system(load_bicycle(bicycle), speed)
     phi, _ = discretise(system, STEP_NS / 1e9)
     density = np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)])
-    process = np.linalg.cholesky(0.5 * STEP_NS / 1e9 * (density + phi @ density @ phi.T) + 1e-18 * np.eye(4))
+    process = np.linalg.cholesky(disturbed(system.a, density, STEP_NS / 1e9))
     state = np.array(FIRST_STD) * rng.standard_normal(4)
     running = RunningFilter(load_bicycle(bicycle), NOISE)
     states, steps = np.empty((count, 4)), []
@@ -168,3 +178,23 @@ def test_yaw_rate_of_a_leaned_bicycle_is_levelled() -> None:
     gyroscope = np.array([0.0, turning * np.sin(0.2), turning * np.cos(0.2)])
     step = running.step(10_000_001, gyroscope, np.full(3, np.nan), 3.6, 0.0)
     np.testing.assert_allclose(step.innovation, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.parametrize("step", [1e-4, 1e-3, 0.01, 0.1])
+def test_a_step_is_exact_by_another_way(name: str, step: float) -> None:
+    bicycle, density = load_bicycle(name), np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)])
+    transitions = Transitions(bicycle, density)
+    for speed in (0.5, 3.6, 9.0):
+        system = linear_system(bicycle, speed)
+        phi, gamma = discretise(system, step)
+        parts = 2 ** max(
+            0, int(np.log2(1e-9 + np.abs(system.a * step).sum()))
+        )  # short: scipy's e^(-A h) is large
+        part, process = discretise(system, step / parts)[0], np.zeros((4, 4))
+        for _ in range(parts):
+            process = part @ process @ part.T + disturbed(system.a, density, step / parts)
+        found = transitions.at(speed, step)
+        for one, other in zip(found, (phi, gamma[:, None], process), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-11 * np.abs(other).max())
+        assert transitions.at(speed, step)[0] is found[0]  # made once

@@ -34,6 +34,7 @@ from tms_bag.samples import (
     SteerTorqueSamples,
 )
 
+Vector: TypeAlias = tuple[float, float, float]
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
 Messages: TypeAlias = "Iterable[Record] | Columns"  # of one topic, as they come or read as arrays
 
@@ -114,13 +115,13 @@ def imu_samples(messages: Messages) -> ImuSamples:
     )
 
 
-def imu_reading(record: Record) -> tuple[int, FloatArray, FloatArray]:
-    """Stamp [ns], angular velocity (3,) and its variance (3,) of one message, as `imu_samples` has them."""
+def imu_reading(record: Record) -> tuple[int, Vector, Vector]:
+    """Stamp [ns], angular velocity and its variance of one message, as `imu_samples` has them."""
     time_ns, *numbers = _reading(topics.IMU, _GYROSCOPES, record)
     absent = numbers[3] == -1.0  # REP-145
-    rates = [math.nan] * 3 if absent else numbers[:3]
-    variance = [value if value > 0.0 else math.nan for value in numbers[3::4]]
-    return time_ns, np.array(rates), np.array(variance)
+    x, y, z = (math.nan, math.nan, math.nan) if absent else numbers[:3]
+    variance = tuple([value if value > 0.0 else math.nan for value in numbers[3::4]])
+    return time_ns, (x, y, z), (variance[0], variance[1], variance[2])
 
 
 def magnetic_records(samples: MagneticSamples) -> Iterator[Record]:

@@ -211,7 +211,7 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
         "--gyroscope-range",
         type=float,
         metavar="RATE",
-        help="[rad/s] at which the gyroscopes saturate (default: samples are taken as they are)",
+        help="[rad/s] at which the gyroscopes saturate (default: only where imu/lean_yaw marks a sample)",
     )
     command.add_argument(
         "--saturation",

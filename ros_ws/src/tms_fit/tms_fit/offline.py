@@ -15,6 +15,7 @@ from tms_model.bicycle import Array
 from tms_model.frames import quaternion
 from tqdm import tqdm
 
+from tms_fit.running.gyroscopes import FLAGS
 from tms_fit.running.online import OnlineFit, StrikeFit
 from tms_fit.settings import FitSettings
 from tms_fit.strikes.strike import NANOSECONDS, Rejected
@@ -113,7 +114,7 @@ def orientation_of(info: RunInfo | None) -> Array:
 def feed(online: OnlineFit, recording: Recording, progress: Progress | None = None) -> None:
     """Give all samples of a recording to `online`, in time order, and finish it."""
     times, kinds, rows = _merged(recording)
-    imu, speed, torque = recording.imu, recording.speed, recording.steer_torque
+    imu, speed, torque, flags = recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw
     every = max(len(times) // 100, 1)
     for number, (time_ns, kind, row) in enumerate(
         zip(
@@ -125,8 +126,10 @@ def feed(online: OnlineFit, recording: Recording, progress: Progress | None = No
     ):
         if progress is not None and number % every == 0:
             progress(number / len(times), online.strike_count)
-        if kind == 2:
+        if kind == 3:
             online.add_imu(time_ns, imu.angular_velocity[row], imu.angular_velocity_variance)
+        elif kind == 2 and flags is not None:
+            online.add_saturation(time_ns, int(flags.saturation[row]))
         elif kind == 1 and torque is not None:
             online.add_steer_torque(time_ns, float(torque.steer_torque[row]))
         elif speed is not None:
@@ -135,11 +138,18 @@ def feed(online: OnlineFit, recording: Recording, progress: Progress | None = No
 
 
 def _merged(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Times, kinds (0 speed, 1 torque, 2 imu) and rows of all samples; at equal times the imu comes last."""
-    series = (recording.speed, recording.steer_torque, recording.imu)
+    """Times, kinds (0 speed, 1 torque, 2 saturation, 3 imu) and rows of all samples, in time order.
+
+    At equal times in the order of the kinds. Of the saturation only what says something.
+    """
+    series = (recording.speed, recording.steer_torque, recording.lean_yaw, recording.imu)
     stamps = [np.asarray(one.time_ns) if one is not None else np.empty(0, np.int64) for one in series]
+    listed = [np.arange(len(one)) for one in stamps]
+    if recording.lean_yaw is not None:
+        listed[2] = np.flatnonzero(recording.lean_yaw.saturation & FLAGS)
+        stamps[2] = stamps[2][listed[2]]
     times = np.concatenate(stamps)
-    kinds = np.repeat([0, 1, 2], [len(one) for one in stamps])
-    rows = np.concatenate([np.arange(len(one)) for one in stamps])
+    kinds = np.repeat(np.arange(4), [len(one) for one in stamps])
+    rows = np.concatenate(listed)
     order = np.lexsort((kinds, times))
     return times[order], kinds[order], rows[order]

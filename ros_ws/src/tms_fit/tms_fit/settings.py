@@ -59,7 +59,7 @@ class FitSettings:
     channels: tuple[str, ...] = CHANNELS  # compared with the model
     noise: str = "auto"  # of NOISE_MODELS; auto: white, unless residuals are alike
     loss: str = "squares"  # how much a residual counts, of LOSSES
-    gyroscope_range: float | None = None  # [rad/s], at which a reading is saturated; None: none is
+    gyroscope_range: float | None = None  # [rad/s], at which a reading is saturated; None: only flags say so
     saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
     slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
     slip: str = "leave_out"  # what is done with that time, of SLIPS

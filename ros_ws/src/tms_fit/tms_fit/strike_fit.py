@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
@@ -31,6 +32,7 @@ class Stretch:
     speed_time_ns: IntArray  # (m,)
     speed: Array  # (m,) [m/s]
     nominal_speed: float  # [m/s], where none was measured; NaN: unknown
+    flagged: NDArray[np.bool_] | None = None  # (n, 3), axes that a saturated one of the sensor enters
 
     def until(self, end_ns: int) -> Stretch:
         """The part up to a time, which is included."""
@@ -42,6 +44,7 @@ class Stretch:
             self.speed_time_ns[speeds],
             self.speed[speeds],
             self.nominal_speed,
+            None if self.flagged is None else self.flagged[rows],
         )
 
 
@@ -67,8 +70,13 @@ class StrikeFit:
         return int(self.stretch.time_ns[-1])
 
 
-def stretch_of(samples: Sequence[Sample], speed: Series, nominal_speed: float) -> Stretch:
-    """Stretch of some samples, one at least, in ascending time."""
+def stretch_of(
+    samples: Sequence[Sample],
+    speed: Series,
+    nominal_speed: float,
+    flagged: NDArray[np.bool_] | None = None,
+) -> Stretch:
+    """Stretch of some samples, one at least, in ascending time; flagged (n, 3): see Stretch."""
     speed_time_ns, speeds = speed.between(samples[0].time_ns, samples[-1].time_ns)
     return Stretch(
         np.array([one.time_ns for one in samples]),
@@ -77,6 +85,7 @@ def stretch_of(samples: Sequence[Sample], speed: Series, nominal_speed: float) -
         speed_time_ns,
         speeds,
         nominal_speed,
+        flagged,
     )
 
 
@@ -84,7 +93,9 @@ def window_of(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> Wind
     """Window of a stretch. Raises ParameterError where the speed isn't known."""
     torque = stretch.steer_torque if np.isfinite(stretch.steer_torque).any() else None
     speed = _speed(stretch, settings)
-    return make_window(bicycle, settings, stretch.time_ns, stretch.angular_velocity, speed, torque)
+    return make_window(
+        bicycle, settings, stretch.time_ns, stretch.angular_velocity, speed, torque, stretch.flagged
+    )
 
 
 def fit_strike(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,11 +68,12 @@ def make_window(
     angular_velocity: Array,
     speed: SpeedCurve,
     steer_torque: Array | None,
+    flagged: NDArray[np.bool_] | None = None,
 ) -> Window:
     """Window from the samples of one free response.
 
     time_ns (n,); angular_velocity (n, 3) [rad/s] in SAE axes of the rear frame; steer_torque (n,) [N m] or
-    None.
+    None; flagged (n, 3): readings that the recording marks as saturated, None: none.
     """
     time = (time_ns - time_ns[0]) / 1e9
     lean_rate = angular_velocity[:, 0]
@@ -98,14 +100,21 @@ def make_window(
         lean_rate_gain=gain,
         torque_r2=r2,
         resistance=settings.resistance,
-        saturated=_saturated(angular_velocity, settings),
+        saturated=_saturated(angular_velocity, flagged, settings),
     )
 
 
-def _saturated(angular_velocity: Array, settings: FitSettings) -> Array | None:
-    if settings.gyroscope_range is None or settings.saturation == "use":
+def _saturated(
+    angular_velocity: Array, flagged: NDArray[np.bool_] | None, settings: FitSettings
+) -> Array | None:
+    """Signs (n, 2) of the limits that lean rate and yaw rate stand at, by their size or a flag."""
+    if settings.saturation == "use" or (settings.gyroscope_range is None and flagged is None):
         return None
-    return saturated(angular_velocity[:, [0, 2]], settings.gyroscope_range)
+    rates = angular_velocity[:, [0, 2]]
+    found = saturated(rates, settings.gyroscope_range or math.inf)
+    if flagged is not None:
+        found = np.where(flagged[:, [0, 2]], np.sign(np.nan_to_num(rates)), found)
+    return found
 
 
 def without_saturated(window: Window) -> Window:

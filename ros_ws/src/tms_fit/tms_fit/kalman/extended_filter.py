@@ -19,6 +19,7 @@ ones here.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +31,7 @@ from tms_model.response import LEAN_RATE, STEER, yaw_row
 
 from tms_fit.kalman.coasting import Coasting
 from tms_fit.kalman.running_filter import FIRST_STD, STRIKE_STD, FilterStep, RunningFilter
+from tms_fit.kalman.transitions import Transitions
 
 SLOW = ("lean_rate_bias", "yaw_rate_bias", "speed", "rolling_resistance")  # [rad/s], [rad/s], [m/s], [-]
 BIAS, SPEED, RESISTANCE, SIZE = slice(4, 6), 6, 7, 8
@@ -77,8 +79,9 @@ class ExtendedFilter(RunningFilter):
         self._speed_ns: int | None = None  # stamp of the last speed used
         self._past: deque[tuple[int, int | None, Array, Array]] = deque()
         w = self._wandering
+        self._transitions = Transitions(bicycle, np.diag(np.square([0.0, 0.0, *w.acceleration])))
         slow = (w.bias, w.bias, w.speed, w.rolling_resistance)
-        self._density = np.diag(np.square([0.0, 0.0, *w.acceleration, *slow]))
+        self._density = np.diag(np.square([0.0] * 4 + [*slow]))
 
     def _new_filter(self) -> Any:
         self._rows = np.zeros((2, SIZE))
@@ -115,7 +118,8 @@ class ExtendedFilter(RunningFilter):
 
     def _predict(self, step: float, speed: float, steer_torque: float) -> None:
         kalman = self._kalman
-        taken = self._coasting.step(step, float(kalman.x[SPEED, 0]), float(kalman.x[RESISTANCE, 0]))
+        speed_before = kalman.x.item(SPEED)
+        taken = self._coasting.step(step, speed_before, kalman.x.item(RESISTANCE))
         before = np.append(kalman.x[:4, 0], steer_torque)
         kalman.predicted = kalman.x.copy()
         kalman.predicted[:4, 0] = taken.transition[:4] @ before
@@ -126,15 +130,18 @@ class ExtendedFilter(RunningFilter):
         jacobian[:4, RESISTANCE] = taken.by_resistance[:4] @ before
         jacobian[SPEED, RESISTANCE] = taken.speed_by_resistance
         kalman.F = jacobian
-        # Trapezoidal rule over the step.
-        kalman.Q = 0.5 * step * (self._density + jacobian @ self._density @ jacobian.T)
+        # Accelerations exactly, at the speed of the middle; the slow states by the trapezoidal rule, of which
+        # theirs is exact and what they pass on to the bicycle is of the second order in the step.
+        process = 0.5 * step * (self._density + jacobian.dot(self._density).dot(jacobian.T))
+        process[:4, :4] += self._transitions.at(0.5 * (speed_before + taken.speed), step)[2]
+        kalman.Q = process
         kalman.predict()
 
     def _update(
         self,
         time_ns: int,
-        angular_velocity: Array,
-        variance: Array,
+        angular_velocity: Sequence[float] | Array,
+        variance: Sequence[float] | Array,
         speed: float,
         speed_ns: int | None,
         reset: bool,
@@ -144,12 +151,13 @@ class ExtendedFilter(RunningFilter):
             self._use_speed(speed, (time_ns - speed_ns) / 1e9)
             self._speed_ns = speed_ns
         measured, noise, good = self._rates(angular_velocity, variance)
-        if good.any():
+        if any(good):
+            rows = np.flatnonzero(good)
             kalman.update(
-                measured[good],
-                HJacobian=lambda x: self.measurement_jacobian(x)[good],
-                Hx=lambda x: self.measurement(x)[good],
-                R=noise[np.ix_(good, good)],
+                measured[rows],
+                HJacobian=lambda x: self.measurement_jacobian(x)[rows],
+                Hx=lambda x: self.measurement(x)[rows],
+                R=noise[np.ix_(rows, rows)],
             )
         self._remember(time_ns)
         return replace(

@@ -8,20 +8,25 @@ given; `tms_fit.kalman.extended_filter` estimates it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
-from tms_model import Bicycle, discretise, linear_system
+from tms_model import Bicycle
 from tms_model.bicycle import Array
 from tms_model.response import LEAN, LEAN_RATE, STEER, yaw_row
+
+from tms_fit.kalman.transitions import Transitions
 
 FIRST_STD = (0.1, 0.1, 1.0, 2.0)  # [rad, rad, rad/s, rad/s], of the state at the first sample
 STRIKE_STD = (0.02, 0.02, 2.0, 5.0)  # the same where a strike begins: upright, but of unknown rates
 ACCELERATION_NOISE = (0.3, 3.0)  # [rad/s^2/sqrt(Hz)], white disturbances of lean and steer acceleration
+Good: TypeAlias = tuple[bool, bool]  # whether lean rate and yaw rate were measured
 LONGEST_GAP = 0.5  # [s]; after a longer one the filter starts anew
+_ABSENT, _ABSENT_SPREAD = np.full(2, np.nan), np.full((2, 2), np.nan)
+_ABSENT.flags.writeable = _ABSENT_SPREAD.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,8 @@ class RunningFilter:
         self._kalman = self._new_filter()
         self._time_ns: int | None = None
         self._strike = False  # the next sample is the first after a strike
-        self._transitions: dict[tuple[float, float], tuple[Array, Array, Array]] = {}
+        self._transitions = Transitions(bicycle, np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)]))
+        self._noise: dict[tuple[float, float], Array] = {}
         self._turn = float(yaw_row(bicycle, 1.0)[STEER])  # yaw rate per steer and speed [1/m]
 
     def restart(self, strike: bool) -> None:
@@ -62,8 +68,8 @@ class RunningFilter:
     def step(
         self,
         time_ns: int,
-        angular_velocity: Array,
-        variance: Array,
+        angular_velocity: Sequence[float] | Array,
+        variance: Sequence[float] | Array,
         speed: float,
         steer_torque: float,
         speed_ns: int | None = None,
@@ -88,32 +94,24 @@ class RunningFilter:
         self._rows = np.zeros((2, 4))
         self._rows[0, LEAN_RATE] = 1.0
         self._rows[1] = yaw_row(self._bicycle, 0.0)
-        return KalmanFilter(dim_x=4, dim_z=2, dim_u=1)
+        kalman = KalmanFilter(dim_x=4, dim_z=2, dim_u=1)
+        kalman.inv = _inverse
+        return kalman
 
     def _begin(self, time_ns: int, speed: float) -> None:
         std = STRIKE_STD if self._strike else FIRST_STD
         self._kalman.x, self._kalman.P = np.zeros((4, 1)), np.diag(std) ** 2
 
     def _predict(self, step: float, speed: float, steer_torque: float) -> None:
-        phi, gamma, process = self._transition(speed, step)
-        self._kalman.predict(u=np.array([[steer_torque]]), B=gamma, F=phi, Q=process)
-
-    def _transition(self, speed: float, step: float) -> tuple[Array, Array, Array]:
-        key = (round(speed, 3), round(step, 9))  # speed to the millimetre per second, so that steps repeat
-        if key not in self._transitions:
-            if len(self._transitions) > 1000:
-                self._transitions.clear()
-            phi, gamma = discretise(linear_system(self._bicycle, max(key[0], 1e-3)), key[1])
-            density = np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)])
-            process = 0.5 * step * (density + phi @ density @ phi.T)  # trapezoidal rule over the step
-            self._transitions[key] = phi, gamma.reshape(4, 1), process
-        return self._transitions[key]
+        kalman = self._kalman
+        kalman.F, kalman.B, kalman.Q = self._transitions.at(speed, step)
+        kalman.predict(np.array([[steer_torque]]) if steer_torque else None)
 
     def _update(
         self,
         time_ns: int,
-        angular_velocity: Array,
-        variance: Array,
+        angular_velocity: Sequence[float] | Array,
+        variance: Sequence[float] | Array,
         speed: float,
         speed_ns: int | None,
         reset: bool,
@@ -121,38 +119,55 @@ class RunningFilter:
         kalman = self._kalman
         measured, noise, good = self._rates(angular_velocity, variance)
         self._rows[1, STEER] = speed * self._turn
-        if good.all():
-            kalman.update(measured, R=noise, H=self._rows)
-        elif good.any():
-            kalman.update(measured[good], R=noise[np.ix_(good, good)], H=self._rows[good])
+        if all(good):
+            kalman.R = noise
+            kalman.update(measured, H=self._rows)
+        elif any(good):
+            rows = np.array(good)
+            kalman.update(measured[rows], R=noise[np.ix_(rows, rows)], H=self._rows[rows])
         return self._step(time_ns, good, speed, reset)
 
-    def _rates(self, angular_velocity: Array, variance: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Lean rate and yaw rate (2, 1), their noise (2, 2), and which of them were measured (2,).
+    def _rates(
+        self, angular_velocity: Sequence[float] | Array, variance: Sequence[float] | Array
+    ) -> tuple[Array, Array, Good]:
+        """Lean rate and yaw rate (2, 1), their noise (2, 2), and which of them were measured.
 
         As `tms_model.imu.lean_and_yaw_rate`, for one sample, with the lean that the filter predicts.
         """
-        w_x, w_y, w_z = angular_velocity.tolist()
-        lean = self._kalman.x[LEAN, 0]
-        level = w_z / np.cos(lean) if math.isnan(w_y) else w_y * np.sin(lean) + w_z * np.cos(lean)
-        var_x, _, var_z = variance.tolist()
-        noise = np.zeros((2, 2))
-        noise[0, 0] = var_x if math.isfinite(var_x) else self._variance
-        noise[1, 1] = var_z if math.isfinite(var_z) else self._variance
-        measured = np.array([[w_x], [level]])
-        return measured, noise, np.isfinite(measured[:, 0])
+        w_x, w_y, w_z = angular_velocity
+        lean = self._kalman.x.item(LEAN)
+        if not math.isfinite(lean):
+            lean = math.nan
+        level = w_z / math.cos(lean) if math.isnan(w_y) else w_y * math.sin(lean) + w_z * math.cos(lean)
+        var_x, _, var_z = variance
+        good = math.isfinite(w_x), math.isfinite(level)
+        return np.array(((w_x,), (level,))), self._noise_of(float(var_x), float(var_z)), good
 
-    def _step(self, time_ns: int, good: NDArray[np.bool_], speed: float, reset: bool) -> FilterStep:
+    def _noise_of(self, first: float, second: float) -> Array:
+        """Covariance (2, 2) of a reading that states these variances, NaN: none."""
+        first = first if math.isfinite(first) else self._variance
+        second = second if math.isfinite(second) else self._variance
+        noise = self._noise.get((first, second))
+        if noise is None:
+            if len(self._noise) > 1000:
+                self._noise.clear()
+            noise = self._noise[first, second] = np.diag((first, second))
+        return noise
+
+    def _step(self, time_ns: int, good: Good, speed: float, reset: bool) -> FilterStep:
         """What the filter says after the update with the good ones of both rates."""
-        kalman, count = self._kalman, int(np.count_nonzero(good))
-        nis = float((kalman.y.T @ kalman.SI @ kalman.y).item()) if count else float("nan")
-        if count == 2:
-            innovation, spread = kalman.y[:, 0].copy(), kalman.S.copy()
-        else:
-            innovation, spread = np.full(2, np.nan), np.full((2, 2), np.nan)
-        if count == 1:
-            innovation[good] = kalman.y[:, 0]
-            spread[np.ix_(good, good)] = kalman.S
+        kalman = self._kalman
+        nis, innovation, spread = math.nan, _ABSENT, _ABSENT_SPREAD
+        if all(good):
+            innovation, spread = kalman.y[:, 0], kalman.S
+            first, second = innovation.tolist()
+            (a, b), (c, d) = kalman.SI.tolist()
+            nis = first * (a * first + b * second) + second * (c * first + d * second)
+        elif any(good):
+            rows = np.array(good)
+            innovation, spread = innovation.copy(), spread.copy()
+            innovation[rows], spread[np.ix_(rows, rows)] = kalman.y[:, 0], kalman.S
+            nis = float((kalman.y.T @ kalman.SI @ kalman.y).item())
         return FilterStep(
             time_ns=time_ns,
             state=kalman.x[:4, 0].copy(),
@@ -160,7 +175,17 @@ class RunningFilter:
             innovation=innovation,
             innovation_covariance=spread,
             nis=nis,
-            channel_count=count,
+            channel_count=sum(good),
             reset=reset,
             speed=speed,
         )
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a covariance (2, 2) in closed form; of any other, and a hardly regular one, numpy's."""
+    if matrix.shape == (2, 2):
+        (a, b), (c, d) = matrix.tolist()
+        determinant = a * d - b * c
+        if 1e-300 < determinant < 1e300:
+            return np.array(((d / determinant, -b / determinant), (-c / determinant, a / determinant)))
+    return np.asarray(np.linalg.inv(matrix))

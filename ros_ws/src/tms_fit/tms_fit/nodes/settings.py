@@ -73,7 +73,7 @@ def declare_settings(node: Node) -> Settings:
             node,
             "gyroscope_range",
             0.0,
-            "at which a reading is saturated, and left out; 0: none is [rad/s]",
+            "at which a reading is saturated, and left out; 0: only where imu/lean_yaw says so [rad/s]",
             0.0,
             1000.0,
         )

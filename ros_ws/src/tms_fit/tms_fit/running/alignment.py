@@ -7,7 +7,8 @@ steer torque are known up to its time, or are late by more than `PATIENCE`.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right, insort
+import math
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,23 +17,26 @@ import numpy as np
 from tms_bag.samples import IntArray
 from tms_model.bicycle import Array
 
+from tms_fit.running.gyroscopes import FLAGS, Gyroscopes, Vector
 from tms_fit.strikes.strike import NANOSECONDS
 
-Reading = tuple[int, Array, Array, Array]  # stamp, angular velocity, variance, unsaturated
+Reading = tuple[int, Vector, Vector]  # stamp, angular velocity in imu axes, variance
+MOST_FLAGS = 1000  # that wait for their IMU sample
 PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Sample:
     """One IMU sample and what is known of its time."""
 
     time_ns: int
-    angular_velocity: Array  # (3,) [rad/s], SAE axes of the rear frame; NaN: absent
-    variance: Array  # (3,) [rad^2/s^2], NaN: unknown
+    angular_velocity: Vector  # [rad/s], SAE axes of the rear frame; NaN: absent
+    variance: Vector  # [rad^2/s^2], NaN: unknown
     speed: float  # [m/s], NaN: unknown
     steer_torque: float  # [N m], NaN: unknown
-    unsaturated: Array  # (3,) angular_velocity, NaN where an axis of the sensor at its limit enters
+    unsaturated: Vector  # angular_velocity, NaN where an axis of the sensor at its limit enters
     speed_ns: int | None = None  # when the speed was measured; None: it was not
+    flags: int = 0  # of tms_msgs/LeanYaw: axes of the gyroscopes that somebody marked as at their limit
 
 
 class Series:
@@ -44,20 +48,19 @@ class Series:
 
     def add(self, time_ns: int, value: float) -> None:
         """One value, at its place in time."""
+        if not self.time or time_ns > self.time[-1]:
+            self.time.append(time_ns)
+            self.value.append(value)
+            return
         index = bisect_left(self.time, time_ns)
-        if index == len(self.time) or self.time[index] != time_ns:
+        if self.time[index] != time_ns:
             self.time.insert(index, time_ns)
             self.value.insert(index, value)
 
-    def at(self, time_ns: int) -> float:
-        """The last value at or before a time; NaN before the first."""
+    def at(self, time_ns: int) -> tuple[float, int | None]:
+        """The last value at or before a time, and when it was measured; NaN and None before the first."""
         index = bisect_right(self.time, time_ns)
-        return self.value[index - 1] if index else float("nan")
-
-    def stamp_at(self, time_ns: int) -> int | None:
-        """When that value was measured; None before the first."""
-        index = bisect_right(self.time, time_ns)
-        return self.time[index - 1] if index else None
+        return (self.value[index - 1], self.time[index - 1]) if index else (math.nan, None)
 
     def between(self, first_ns: int, last_ns: int) -> tuple[IntArray, Array]:
         """Times [ns] and values from the one that holds at `first_ns` to `last_ns`."""
@@ -75,43 +78,79 @@ class Series:
 class Alignment:
     """Takes samples of all topics as they arrive, gives complete ones in the order of their stamps."""
 
-    def __init__(self, reorder_window: float, fixed_speed: float | None) -> None:
+    def __init__(
+        self, gyroscopes: Gyroscopes, reorder_window: float, fixed_speed: float | None = None
+    ) -> None:
         """reorder_window [s]: longest that an IMU sample may come after a later one; fixed_speed [m/s]."""
         self.speed, self.steer_torque = Series(), Series()
-        self.counts: Counter[str] = Counter()  # of IMU samples left out: repeated, late
+        self.counts: Counter[str] = Counter()  # of IMU samples left out: repeated, late; and saturated ones
+        self._gyroscopes = gyroscopes
         self._reorder_ns = round(reorder_window * NANOSECONDS)
         self._fixed_speed = fixed_speed
         self._waiting: list[Reading] = []
+        self._flags: dict[int, int] = {}  # by stamp, of samples that are still to be given
         self._first_ns: int | None = None
         self._given_ns: int | None = None  # stamp of the last sample given
 
-    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array, unsaturated: Array) -> None:
-        """Gyroscopes (3,) [rad/s] in SAE axes of the rear frame, variances (3,); see Sample."""
+    def add_imu(self, time_ns: int, angular_velocity: Vector, variance: Vector) -> None:
+        """Gyroscopes [rad/s] in imu axes and their variances; see Sample."""
         if self._given_ns is not None and time_ns <= self._given_ns:
             self.counts["repeated" if time_ns == self._given_ns else "late"] += 1
             return
-        index = bisect_left(self._waiting, time_ns, key=_stamp)
-        if index < len(self._waiting) and self._waiting[index][0] == time_ns:
-            self.counts["repeated"] += 1
+        reading, waiting = (time_ns, angular_velocity, variance), self._waiting
+        if not waiting or time_ns > waiting[-1][0]:
+            waiting.append(reading)
+        else:
+            index = bisect_left(waiting, time_ns, key=_stamp)
+            if waiting[index][0] == time_ns:
+                self.counts["repeated"] += 1
+                return
+            waiting.insert(index, reading)
+        if self._first_ns is None or time_ns < self._first_ns:
+            self._first_ns = time_ns
+
+    def add_flags(self, time_ns: int, flags: int) -> None:
+        """Axes of the gyroscopes at their limit in the IMU sample of this stamp, flags of tms_msgs/LeanYaw.
+
+        Those of a sample that has been given are late: they change nothing, and are counted.
+        """
+        flags &= FLAGS
+        if not flags:
             return
-        self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
-        insort(self._waiting, (time_ns, angular_velocity, variance, unsaturated), key=_stamp)
+        if self._given_ns is not None and time_ns <= self._given_ns:
+            self.counts["late_flags"] += 1
+            return
+        if len(self._flags) >= MOST_FLAGS:  # of samples that never came
+            self.counts["late_flags"] += 1
+            del self._flags[min(self._flags)]
+        self._flags[time_ns] = self._flags.get(time_ns, 0) | flags
 
     def ready(self, finished: bool = False) -> Iterator[Sample]:
         """The samples that are complete; all that wait if no more will come."""
         while self._waiting and (finished or self._complete(self._waiting[0][0])):
-            time_ns, angular_velocity, variance, unsaturated = self._waiting.pop(0)
-            self._given_ns = time_ns
-            fixed = self._fixed_speed
-            yield Sample(
-                time_ns=time_ns,
-                angular_velocity=angular_velocity,
-                variance=variance,
-                speed=self.speed.at(time_ns) if fixed is None else fixed,
-                steer_torque=self.steer_torque.at(time_ns),
-                unsaturated=unsaturated,
-                speed_ns=self.speed.stamp_at(time_ns) if fixed is None else None,
-            )
+            yield self._give(*self._waiting.pop(0))
+
+    def _give(self, time_ns: int, rates: Vector, variance: Vector) -> Sample:
+        """A reading with what is known of its time."""
+        self._given_ns = time_ns
+        flags = self._flags.pop(time_ns, 0) if self._flags else 0
+        turned = self._gyroscopes.in_rear_frame(rates)
+        unsaturated = self._gyroscopes.unsaturated(rates, flags)
+        if unsaturated is not None:
+            self.counts["saturated"] += 1
+        speed, speed_ns = self._fixed_speed, None
+        if speed is None:
+            speed, speed_ns = self.speed.at(time_ns)
+        return Sample(
+            time_ns=time_ns,
+            angular_velocity=turned,
+            variance=variance,
+            speed=speed,
+            steer_torque=self.steer_torque.at(time_ns)[0],
+            unsaturated=turned if unsaturated is None else unsaturated,
+            speed_ns=speed_ns,
+            flags=flags,
+        )
 
     def _complete(self, time_ns: int) -> bool:
         assert self._first_ns is not None
@@ -122,9 +161,9 @@ class Alignment:
             return True
         # Which topics there are shows in the first half second.
         starting = time_ns < self._first_ns + PATIENCE
-        return all(
-            series.time[-1] >= time_ns if series.time else not starting
-            for series in (self.speed, self.steer_torque)
+        speed, torque = self.speed.time, self.steer_torque.time
+        return (speed[-1] >= time_ns if speed else not starting) and (
+            torque[-1] >= time_ns if torque else not starting
         )
 
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
-from tms_model.frames import flip_axes, imu_to_rear_frame, rotation_matrix
+from tms_model.response import FASTEST
 
 from tms_fit.estimators import check_names
 from tms_fit.kalman.extended_filter import ExtendedFilter, FirstGuess, Wandering
 from tms_fit.kalman.running_filter import FilterStep, RunningFilter
-from tms_fit.least_squares.censoring import saturated
 from tms_fit.least_squares.projection import Problem, solve
 from tms_fit.running.alignment import PATIENCE, Alignment, Sample
+from tms_fit.running.gyroscopes import Gyroscopes, Vector
 from tms_fit.settings import INITIAL, FitSettings
 from tms_fit.strike_fit import Stretch, StrikeFit, fit_strike, stretch_of, window_of
 from tms_fit.strikes.detector import StrikeDetector
@@ -59,13 +61,13 @@ class OnlineFit:
         preview_period [s]: how often an unfolding response is fitted, by the first estimator; None: not.
         """
         check_names(settings.estimators)
-        self._bicycle, self._settings, self._orientation = bicycle, settings, imu_orientation
+        self._bicycle, self._settings = bicycle, settings
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
         self._filter = _filter(bicycle, settings) if running_filter else None
-        self._rotation = rotation_matrix(imu_orientation)
-        self._counts: Counter[str] = Counter()
+        self._gyroscopes = Gyroscopes(imu_orientation, settings.gyroscope_range)
         self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
-        self._aligned = Alignment(reorder_window, settings.fixed.get("speed"))
+        self._aligned = Alignment(self._gyroscopes, reorder_window, settings.fixed.get("speed"))
+        self._longest_ns = round((settings.window + self._detector.latency) * NANOSECONDS)
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
         self._previewed_ns = 0
         self._used: list[Sample] = []
@@ -76,15 +78,16 @@ class OnlineFit:
         self._results: list[StrikeFit | FilterStep] = []
         self._last_step: FilterStep | None = None
 
-    def add_imu(self, time_ns: int, angular_velocity: Array, variance: Array) -> None:
+    def add_imu(
+        self, time_ns: int, angular_velocity: Sequence[float] | Array, variance: Sequence[float] | Array
+    ) -> None:
         """One sample: gyroscopes (3,) [rad/s] in imu axes, variances (3,); NaN: absent, unknown."""
-        rotated = unsaturated = self._to_rear_frame(angular_velocity)
-        full = self._settings.gyroscope_range
-        if full is not None and (at_limit := saturated(angular_velocity, full) != 0.0).any():
-            self._counts["saturated"] += 1
-            unsaturated = self._to_rear_frame(np.where(at_limit, np.nan, angular_velocity))
-        self._aligned.add_imu(time_ns, rotated, variance, unsaturated)
+        self._aligned.add_imu(time_ns, _vector(angular_velocity), _vector(variance))
         self._release()
+
+    def add_saturation(self, time_ns: int, flags: int) -> None:
+        """Which axes stood at their limit in the IMU sample of this stamp: flags of tms_msgs/LeanYaw."""
+        self._aligned.add_flags(time_ns, flags)
 
     def add_speed(self, time_ns: int, speed: float) -> None:
         """Forward speed [m/s]."""
@@ -119,8 +122,8 @@ class OnlineFit:
 
     @property
     def counts(self) -> Counter[str]:
-        """IMU samples left out: repeated, late; and saturated ones, which the running filter leaves out."""
-        return self._aligned.counts + self._counts
+        """IMU samples left out: repeated, late; saturated ones; flags that came too late to mark theirs."""
+        return +self._aligned.counts
 
     @property
     def strike_count(self) -> int:
@@ -144,14 +147,7 @@ class OnlineFit:
     def forget(self) -> None:
         """Let go of all samples; a window can't become longer any more."""
         self._used, self._filter, self._detector = [], None, GivenStrikes(())
-        self._aligned = Alignment(0.0, None)
-
-    def _to_rear_frame(self, angular_velocity: Array) -> Array:
-        if math.isfinite(angular_velocity.sum()):  # nothing is absent
-            turned: Array = flip_axes(angular_velocity[None, :] @ self._rotation.T)[0]
-        else:
-            turned = imu_to_rear_frame(angular_velocity[None, :], self._orientation)[0]
-        return turned
+        self._aligned = Alignment(self._gyroscopes, 0.0)
 
     def _release(self, finished: bool = False) -> None:
         for sample in self._aligned.ready(finished):
@@ -159,7 +155,7 @@ class OnlineFit:
 
     def _use(self, sample: Sample) -> None:
         self._used.append(sample)
-        strike = self._detector.push(sample.time_ns, float(sample.angular_velocity[0]))
+        strike = self._detector.push(sample.time_ns, sample.angular_velocity[0])
         if strike is not None and strike.kind != "given" and self._is_free_response(strike):
             self._detector.withdraw("the bicycle's own motion, as the model continues what came before")
             strike = None
@@ -170,15 +166,15 @@ class OnlineFit:
             self._latest = strike
         if self._filter is not None:
             self._run_filter(sample, strike)
-        longest = round((self._settings.window + self._detector.latency) * NANOSECONDS)
         while self._strikes and (
-            len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + longest
+            len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + self._longest_ns
         ):
             self._fit()
-        self._preview(sample.time_ns)
-        if not self._strikes and self._used[0].time_ns < sample.time_ns - 2 * MEMORY:
+        if self._strikes:
+            self._preview(sample.time_ns)
+        elif self._used[0].time_ns < sample.time_ns - 2 * MEMORY:
             keep = sample.time_ns - MEMORY
-            self._used = [one for one in self._used if one.time_ns > keep]
+            del self._used[: bisect_right(self._used, keep, key=_stamp)]
             self._onsets = [onset for onset in self._onsets if onset > keep]
             self._aligned.speed.forget(keep)
             self._aligned.steer_torque.forget(keep)
@@ -189,12 +185,12 @@ class OnlineFit:
         first = len(self._used) - 1
         if strike is not None:
             self._filter.restart(strike=True)
-            first = next(index for index, one in enumerate(self._used) if one.time_ns >= strike.time_ns)
+            first = bisect_left(self._used, strike.time_ns, key=_stamp)
         step: FilterStep | None = None
         for index in range(first, len(self._used)):
             one = self._used[index]
-            speed = one.speed if np.isfinite(one.speed) else self._nominal_speed
-            if not speed > 0.0:
+            speed = one.speed if math.isfinite(one.speed) else self._nominal_speed
+            if not 0.0 < speed <= FASTEST:
                 return
             step = self._filter.step(
                 one.time_ns, one.unsaturated, one.variance, speed, self._held_torque(index), one.speed_ns
@@ -206,7 +202,7 @@ class OnlineFit:
     def _held_torque(self, index: int) -> float:
         """Known torque [N m] since the sample before `index`, 0 when none is known."""
         torque = self._used[index - 1].steer_torque if index else 0.0
-        return torque if np.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
+        return torque if math.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
 
     def _is_free_response(self, strike: Strike) -> bool:
         """Whether the motion just before, as the bicycle continues it, explains half of this change."""
@@ -216,7 +212,7 @@ class OnlineFit:
             since = last.time_ns
         else:  # whatever moves now, its beginning is not known
             assumed = (*INITIAL, "lean_rate_bias")
-        samples = [one for one in self._used if since <= one.time_ns <= strike.time_ns]
+        samples = self._between(since, strike.time_ns)
         if last is None and not strike.sharp and strike.onset_ns < samples[0].time_ns + LEAST_HISTORY:
             return True  # a recording that begins in mid-swing looks like this
         try:
@@ -246,7 +242,7 @@ class OnlineFit:
 
     def _preview(self, now_ns: int) -> None:
         """Fit the open strike with what has come so far, every now and then."""
-        if self._preview_ns is None or not self._strikes or now_ns < self._previewed_ns + self._preview_ns:
+        if self._preview_ns is None or now_ns < self._previewed_ns + self._preview_ns:
             return
         self._previewed_ns = now_ns
         strike = self._strikes[0]
@@ -255,10 +251,27 @@ class OnlineFit:
         self._results.append(fit_strike(strike, stretch, self._bicycle, quick, final=False))
 
     def _stretch(self, first_ns: int, last_ns: int) -> Stretch:
-        return self._stretch_of([one for one in self._used if first_ns <= one.time_ns <= last_ns])
+        return self._stretch_of(self._between(first_ns, last_ns))
+
+    def _between(self, first_ns: int, last_ns: int) -> list[Sample]:
+        """Samples that are kept, from a time to another."""
+        used = self._used
+        return used[bisect_left(used, first_ns, key=_stamp) : bisect_right(used, last_ns, key=_stamp)]
 
     def _stretch_of(self, samples: list[Sample]) -> Stretch:
-        return stretch_of(samples, self._aligned.speed, self._nominal_speed)
+        flagged = None
+        if any(one.flags for one in samples):
+            flagged = np.array([self._gyroscopes.flagged(one.flags) for one in samples])
+        return stretch_of(samples, self._aligned.speed, self._nominal_speed, flagged)
+
+
+def _vector(values: Sequence[float] | Array) -> Vector:
+    x, y, z = values if type(values) is tuple else map(float, values)
+    return x, y, z
+
+
+def _stamp(sample: Sample) -> int:
+    return sample.time_ns
 
 
 def _filter(bicycle: Bicycle, settings: FitSettings) -> RunningFilter:

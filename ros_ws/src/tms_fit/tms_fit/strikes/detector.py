@@ -93,10 +93,10 @@ class StrikeDetector:
         """Use the open bin; raise suspicion where it is due."""
         if not self._bin:
             return
-        count = len(self._bin)
-        first = self._bin[0][0]
-        time_ns = first + sum(when - first for when, _ in self._bin) // count
-        rate = sum(value for _, value in self._bin) / count
+        (time_ns, rate), count = self._bin[0], len(self._bin)
+        if count > 1:
+            time_ns += sum(when - time_ns for when, _ in self._bin) // count
+            rate = sum(value for _, value in self._bin) / count
         self._bin.clear()
         recent = self._rate[bisect_right(self._time, time_ns - MEAN) :]
         recent.reverse()
