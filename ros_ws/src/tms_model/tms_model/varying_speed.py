@@ -69,12 +69,24 @@ def varying_system(
     _check(times, speeds)
     steps = np.diff(times)
     accelerations = np.diff(speeds) / steps
+    whole = transitions_from(bicycle, speeds[:-1], accelerations, steps, resistance)
+    return VaryingSystem(times, speeds, whole[:, :4, :4], whole[:, :4, 4], yaw_row(bicycle, speeds))
+
+
+def transitions_from(
+    bicycle: Bicycle, speeds: Array, accelerations: Array, steps: Array, resistance: Resistance = "rolling"
+) -> Array:
+    """Transitions (n, 5, 5) of state and held torque over steps (n,) [s] that need not follow each other.
+
+    speeds (n,) [m/s] at their beginning, accelerations (n,) [m/s^2] during them. Raises ParameterError as
+    `state_matrices` does.
+    """
     parts = 1 if not accelerations.any() else max(1, math.ceil(round(float(steps.max()) / MAX_STEP, 6)))
     exponentials = expm(_magnus(bicycle, steps / parts, speeds, accelerations, parts, resistance))
     whole = exponentials[:, 0]
     for part in range(1, parts):
         whole = exponentials[:, part] @ whole
-    return VaryingSystem(times, speeds, whole[:, :4, :4], whole[:, :4, 4], yaw_row(bicycle, speeds))
+    return whole
 
 
 def varying_response(system: VaryingSystem, initial: Array, steer_torque: Array | None = None) -> Array:
@@ -118,11 +130,11 @@ def _check(times: Array, speeds: Array) -> None:
 def _magnus(
     bicycle: Bicycle, steps: Array, speeds: Array, accelerations: Array, parts: int, resistance: Resistance
 ) -> Array:
-    """Exponents (n - 1, parts, 5, 5) of the equal parts of each step; the fifth state is the held torque."""
+    """Exponents (n, parts, 5, 5) of the equal parts of each step; the fifth state is the held torque."""
     generators = []
     for place in _GAUSS:
         elapsed = steps[:, None] * (np.arange(parts) + place)
-        at = speeds[:-1, None] + accelerations[:, None] * elapsed
+        at = speeds[:, None] + accelerations[:, None] * elapsed
         changing = np.broadcast_to(accelerations[:, None], at.shape)
         generator = np.zeros((*at.shape, 5, 5))
         matrices = state_matrices(bicycle, at.ravel(), changing.ravel(), resistance)

@@ -11,8 +11,9 @@ from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 from tms_model.exponential import expm
 from tms_model.response import FASTEST, state_matrix, torque_column, yaw_row
-from tms_model.varying_speed import varying_system
+from tms_model.varying_speed import transitions_from, varying_system
 
+from tms_fit.least_squares.even_steps import even_transitions
 from tms_fit.window import Window
 
 SLOWEST = 0.05  # [m/s]; a bicycle that stands has no response to compare
@@ -58,6 +59,7 @@ def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
         raise ParameterError(f"strike_time: expected no later than the first sample, found {start:g} s")
     times = np.append(start, window.time)
     bicycle = _with_feedback(window.bicycle, values["lean_rate_gain"])
+    falling = None
     if "rolling_resistance" in values:
         falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
         speeds = values["speed"] - falling * (times - start)
@@ -71,11 +73,14 @@ def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
             f"speed: expected {SLOWEST:g} to {FASTEST:g} m/s over the whole window, found"
             f" {speeds.min():g} to {speeds.max():g}; fit a shorter window"
         )
-    transitions, torque_steps = _transitions(bicycle, times, speeds, window)
+    transitions, torque_steps = _transitions(bicycle, times, speeds, window, falling)
     return Motion(transitions, torque_steps, yaw_row(bicycle, speeds[1:]), speeds[1:])
 
 
-def _transitions(bicycle: Bicycle, times: Array, speeds: Array, window: Window) -> tuple[Array, Array]:
+def _transitions(
+    bicycle: Bicycle, times: Array, speeds: Array, window: Window, falling: float | None
+) -> tuple[Array, Array]:
+    """Transitions (n, 4, 4), and what they do with a torque (n, 4); falling [m/s^2]: evenly, None: not so."""
     # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
     steps = np.round(np.diff(times), 9)
     if (speeds == speeds[0]).all():
@@ -84,6 +89,10 @@ def _transitions(bicycle: Bicycle, times: Array, speeds: Array, window: Window) 
         generator[:4, :4], generator[:4, 4] = state_matrix(bicycle, float(speeds[0])), torque_column(bicycle)
         exponential = expm(generator * distinct[:, None, None])[index]
         return exponential[:, :4, :4], exponential[:, :4, 4]
+    if falling is not None:
+        found = _falling_evenly(bicycle, times, steps, speeds[:-1], -falling, window)
+        if found is not None:
+            return found[:, :4, :4], found[:, :4, 4]
     first = 1 if steps[0] == 0.0 else 0  # the strike fell on the first sample
     system = varying_system(bicycle, times[first:], speeds[first:], window.resistance)
     if not first:
@@ -92,6 +101,21 @@ def _transitions(bicycle: Bicycle, times: Array, speeds: Array, window: Window) 
         np.concatenate([np.eye(4)[None], system.transitions]),
         np.concatenate([np.zeros((1, 4)), system.torque_steps]),
     )
+
+
+def _falling_evenly(
+    bicycle: Bicycle, times: Array, steps: Array, speeds: Array, acceleration: float, window: Window
+) -> Array | None:
+    """Transitions (n, 5, 5) where all steps but the first are equal; None where they aren't."""
+    if len(steps) < 2 or (steps[1:] != steps[1]).any():
+        return None
+    later = even_transitions(bicycle, speeds[1:], acceleration, float(steps[1]), window.resistance)
+    if later is None:
+        return None
+    first, begin = np.eye(5)[None], times[1:2] - times[:1]  # not rounded: the start may be what is searched
+    if begin[0]:
+        first = transitions_from(bicycle, speeds[:1], np.array([acceleration]), begin, window.resistance)
+    return np.concatenate([first, later])
 
 
 def _with_feedback(bicycle: Bicycle, lean_rate_gain: float) -> Bicycle:

@@ -116,9 +116,22 @@ def _free(transitions: Array) -> Array:
             np.matmul(power, states[:more], out=states[known : known + more])
             known, power = known + more, power @ power
         return states
-    for k in range(1, count):
-        np.dot(transitions[k], states[k - 1], out=states[k])
+    states[:, :, :4] = _products(transitions)
     return states
+
+
+def _products(transitions: Array) -> Array:
+    """Running products (n, 4, 4): within blocks, all blocks at once, then each block after the last."""
+    count = len(transitions)
+    width = math.isqrt(count)
+    products = np.empty((-(-count // width), width, 4, 4))
+    rows = products.reshape(-1, 4, 4)
+    rows[:count], rows[count:] = transitions, np.eye(4)
+    for k in range(1, width):
+        products[:, k] = products[:, k] @ products[:, k - 1]
+    for block in range(1, len(products)):
+        products[block] = products[block] @ products[block - 1, -1]
+    return rows[:count]
 
 
 def _forced(moved: Motion, torque: Array) -> Array:
