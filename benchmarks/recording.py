@@ -27,6 +27,7 @@ from tms_bag.samples import ImuSamples
 from tms_bag.writing.presets import PRESETS
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
+from tms_study.processes import own_domain
 
 IMU = "sensor_msgs/msg/Imu"
 LIVE_CHUNK = 100  # messages of 0.25 s at 400 Hz
@@ -181,7 +182,12 @@ def main() -> None:
     if arguments.publish:
         publish(int(arguments.publish[0]), *arguments.publish[1:])
         return
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with own_domain():
+        measure(arguments)
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """What was asked for."""
     print_machine(["numpy", "mcap", "zstandard", "rosbags"])
     if arguments.load:
         report_load(int(arguments.load[0]), *arguments.load[1:])

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from measure import print_machine
 from tms_bag import BagReader, BagWriter, conversion, topics
 from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+from tms_study.processes import own_domain
 
 START = 1_700_000_000_000_000_000  # [ns]
 
@@ -53,7 +53,7 @@ def timing(folder: Path, rate: float, duration: float, speed: float) -> None:
     recorder = start("tms_bag.nodes.recorder", f"output:={copy}", "topics:=[/imu/data_raw]")
     player = start(
         *("tms_bag.nodes.player", f"bag:={bag}", f"rate:={speed}", "topics:=[/imu/data_raw]"),
-        *("wait_for_subscriptions:=1", "wait_timeout:=60.0"),
+        *("wait_for_subscriptions:=1", "wait_timeout:=300.0"),
     )
     player.wait()
     recorder.send_signal(signal.SIGINT)
@@ -83,7 +83,7 @@ def lossless(folder: Path, rate: float, duration: float) -> None:
     write_bag(bag, rate, duration)
     estimator = start("tms_fit.nodes.estimator")
     began = time.monotonic()
-    parameters = [f"bag:={bag}", "rate:=1000.0", "lossless:=true", "wait_timeout:=60.0"]
+    parameters = [f"bag:={bag}", "rate:=1000.0", "lossless:=true", "wait_timeout:=300.0"]
     code = start("tms_bag.nodes.player", *parameters).wait()
     took = time.monotonic() - began
     estimator.send_signal(signal.SIGINT)
@@ -99,10 +99,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="little of everything")
     quick = parser.parse_args().quick
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     print_machine(["numpy", "mcap"])
     print("\nplay to another process")
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, own_domain():
         for rate, speed in ((100.0, 1.0), (400.0, 1.0), (400.0, 5.0)):
             if not quick or rate == 100.0 or speed == 5.0:
                 timing(Path(name), rate, 1.0 if quick else 20.0, speed)

@@ -22,6 +22,12 @@ class Answer:
 Command = Callable[..., Answer]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _fonts_are_known() -> None:
+    """On a new machine matplotlib looks for fonts first, and says so on stderr if that takes long."""
+    import matplotlib.font_manager  # noqa: F401
+
+
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """Runs `python -m MODULE ARGUMENTS...` in this process. A defect (traceback) fails the test."""

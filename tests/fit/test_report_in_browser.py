@@ -86,7 +86,7 @@ def opened(browser: Any, report: Path, width: int = 1366) -> Any:
 
 
 def wait(browser: Any, condition: str) -> None:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 300.0
     while not browser.execute_script(condition):
         assert time.monotonic() < deadline, condition
         time.sleep(0.05)

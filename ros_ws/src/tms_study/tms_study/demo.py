@@ -26,7 +26,7 @@ from tms_model.figures.saving import save_figure
 from tms_study.processes import NodeProcess, own_domain
 
 RATE = 4.0  # simulated seconds per real second
-PATIENCE = 60.0  # [s], longest wait for a step
+PATIENCE = 300.0  # [s], longest wait for a step; on a busy machine a node takes 20 s to start
 
 
 def demo(output: Path, scenario: str, seed: int) -> str:
@@ -79,6 +79,7 @@ def _record(folder: Path, scenario: str, seed: int) -> None:
         "seed": seed,
         "rate": RATE,
         "wait_for_subscribers": 1,
+        "wait_timeout": PATIENCE,
         "display_rate": 0.0,  # the bag holds what can be made again byte for byte
     }
     simulator = NodeProcess("tms_sim", "simulator", parameters, folder / "log" / "simulator.log")
@@ -98,7 +99,7 @@ def _estimate(folder: Path) -> None:
         {"output": folder / "live", "topics": outputs},
         folder / "log" / "live_recorder.log",
     )
-    estimator = NodeProcess("tms_fit", "estimator", {"idle": 0.5}, folder / "log" / "estimator.log")
+    estimator = NodeProcess("tms_fit", "estimator", {"idle": 2.0}, folder / "log" / "estimator.log")
     try:
         for topic in (ESTIMATE, FILTER_STATE):
             listener.wait_for(f"recording /{topic}", PATIENCE)
@@ -109,6 +110,7 @@ def _estimate(folder: Path) -> None:
             "rate": RATE,
             "topics": f"[{','.join(inputs)}]",
             "wait_for_subscriptions": len(inputs),
+            "wait_timeout": PATIENCE,
         }
         player = NodeProcess("tms_bag", "player", parameters, folder / "log" / "player.log")
         try:

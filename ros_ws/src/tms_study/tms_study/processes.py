@@ -16,7 +16,7 @@ from ament_index_python.packages import get_package_prefix
 from domain_coordinator import domain_id
 from tms_bag import RecordingError
 
-STOP_WITHIN = 20.0  # [s]
+STOP_WITHIN = 120.0  # [s], longest wait for a clean end
 PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 
