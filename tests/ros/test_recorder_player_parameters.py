@@ -154,7 +154,13 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
         *("-p", "rate:=5.0"),
     )
     (file,) = (tmp_path / "new").glob("*.mcap")
-    nodes.wait_until(lambda: BagReader(tmp_path / "new").message_count > 0, "messages are on the disk")
+
+    def replayed() -> bool:  # the recorder's own reports come before
+        return any(
+            topic.name == "/imu/data_raw" and topic.count for topic in BagReader(tmp_path / "new").topics
+        )
+
+    nodes.wait_until(replayed, "messages are on the disk")
     full = file.stat().st_size + 1000
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (full, full))
     nodes.finish(recorder, code=1)
