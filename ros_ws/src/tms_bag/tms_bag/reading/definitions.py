@@ -52,7 +52,7 @@ def _nothing_in(type_name: str) -> Fields:
 
 @lru_cache(maxsize=64)
 def _store(type_name: str, schema: bytes, encoding: str) -> Typestore | None:
-    """Types as a bag defines them; None if they are those that are installed."""
+    """Types as a bag defines them; None if they are those that are installed. Raises RecordingError."""
     stored = _stored_fields(type_name, schema, encoding)
     if stored is None:
         return None
@@ -63,7 +63,13 @@ def _store(type_name: str, schema: bytes, encoding: str) -> Typestore | None:
     except RecordingError:  # not installed
         pass
     store = get_typestore(Stores.EMPTY)
-    store.register(dict(stored))
+    try:
+        store.register(dict(stored))
+    except TypesysError as error:  # for example another builtin_interfaces/Time than the library knows
+        raise RecordingError(
+            f"expected a definition of {type_name} that can be used, found that the bag defines it otherwise"
+            f" ({error})"
+        ) from error
     store.max_sequence_length = messages.LONGEST_SEQUENCE
     return store
 
