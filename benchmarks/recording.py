@@ -87,7 +87,7 @@ def compare_packing(title: str, records: list[Record], repeats: int) -> None:
     print("| way | processor time a message [us] | MB/s of one core | size of the file / of the messages |")
     print("|---|---|---|---|")
     for name, timing in timings.items():
-        took = timing.processor_median
+        took = timing.least_processor
         print(f"| {name} | {1e6 * took / count:.1f} | {raw / took / 1e6:.0f} | {sizes[name]:.2f} |")
 
 
