@@ -55,6 +55,35 @@ def test_end_of_an_impulse_at_any_sample_rate(rate: float, duration: float, chan
         assert strike.change == pytest.approx(change, abs=0.15 + 0.15 * abs(change))
 
 
+@pytest.mark.parametrize("rate", [100.0, 400.0, 1000.0])
+@pytest.mark.parametrize("change", [0.2, -0.3])
+def test_weak_impulses_of_20_ms_are_dated_by_their_end_not_by_a_peak(rate: float, change: float) -> None:
+    rng = np.random.default_rng(round(rate))
+    errors = []
+    for _ in range(10):
+        time = np.arange(round(3.0 * rate)) / rate
+        end = 1.5 + rng.random() / rate
+        noise = DENSITY * np.sqrt(rate) * rng.standard_normal(len(time))
+        found = detected(time, struck(time, end, 0.02, change) + noise)
+        errors.append(abs(found[0].end_ns / 1e9 - end) if found else np.inf)
+    # 10 ms are less than two standard deviations of the bound at 0.2 rad/s (docs/estimation.md).
+    assert np.mean(np.array(errors) < 0.010) >= 0.8
+    assert np.median(errors) < 0.006
+
+
+@pytest.mark.parametrize("change", [0.3, -0.4])
+def test_a_shimmy_at_50_hz_hides_no_strike(change: float) -> None:
+    # 2.5 samples a period: a mean of whole samples would leave a fifth of it.
+    rng = np.random.default_rng(5)
+    time = np.arange(150) / 50.0
+    for _ in range(5):
+        end = 1.5 + 0.02 * rng.random()
+        wave = 0.1 * np.sin(2.0 * np.pi * (20.0 * time + rng.random()))
+        noise = DENSITY * np.sqrt(50.0) * rng.standard_normal(len(time))
+        found = detected(time, struck(time, end, 0.0, change) + wave + noise)
+        assert [abs(strike.end_ns / 1e9 - end) < 0.020 for strike in found] == [True]
+
+
 @pytest.mark.parametrize("shimmy", [0.05, 0.15])
 @pytest.mark.parametrize("duration", [0.0, 0.02])
 def test_shimmy_does_not_move_the_end(shimmy: float, duration: float) -> None:

@@ -56,6 +56,7 @@ def _strike(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> di
     return {
         "time_ns": fit.start_ns,
         "window": [fit.strike.time_ns, fit.end_ns],
+        "ended_by": {"kind": fit.ending.kind, "why": fit.ending.why} if fit.ending else None,
         "lean_rate_change": fit.strike.change,
         "detection": _detection(fit.strike),
         "start_std": window.delay_std if window else None,
@@ -145,6 +146,12 @@ def _reasons(fit: RecordingFit) -> list[str]:
     first = first_stamp(fit.recording)
     lines = [
         f"{(one.start_ns - first) / 1e9:10.4f} {one.strike.kind}: {one.strike.why}" for one in fit.strikes
+    ]
+    lines += [
+        f"{(one.start_ns - first) / 1e9:10.4f} window {(one.end_ns - one.start_ns) / 1e9:.2f} s:"
+        f" {one.ending.why}"
+        for one in fit.strikes
+        if one.ending
     ]
     if fit.rejected:
         lines.append(

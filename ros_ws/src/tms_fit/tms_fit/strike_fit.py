@@ -18,6 +18,7 @@ from tms_fit.least_squares.intervals import with_intervals
 from tms_fit.running.alignment import Sample, Series
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
+from tms_fit.strikes.ending import Ending
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, make_window
 
@@ -58,6 +59,7 @@ class StrikeFit:
     estimates: tuple[Estimate, ...]
     bicycle: str
     final: bool = True  # False: more of this response is still to come
+    ending: Ending | None = None  # what ended the response before the window did; None: nothing
 
     @property
     def start_ns(self) -> int:
@@ -104,13 +106,17 @@ def fit_strike(
     bicycle: Bicycle,
     settings: FitSettings,
     final: bool = True,
+    ending: Ending | None = None,
 ) -> StrikeFit:
-    """Fit the free response after a strike, that the stretch holds, by all estimators of the settings."""
+    """Fit the free response after a strike, that the stretch holds, by all estimators of the settings.
+
+    `ending`: what ended it before the window did; each message tells.
+    """
     try:
         window = window_of(stretch, bicycle, settings)
     except ParameterError as error:
         estimates = tuple(Estimate(name, "not_observable", str(error)) for name in settings.estimators)
-        return StrikeFit(strike, stretch, None, estimates, bicycle.name, final)
+        return StrikeFit(strike, stretch, None, _told(estimates, ending), bicycle.name, final, ending)
     if strike.sharp:
         window = refine_start(window, settings, (strike.time_ns - strike.before_ns) / 1e9)
     elif strike.end_ns < strike.time_ns:
@@ -118,7 +124,15 @@ def fit_strike(
         window = replace(window, delay=delay, delay_std=strike.end_std)
     found = (ESTIMATORS[name](window, settings) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
-    return StrikeFit(strike, stretch, window, estimates, bicycle.name, final)
+    return StrikeFit(strike, stretch, window, _told(estimates, ending), bicycle.name, final, ending)
+
+
+def _told(estimates: tuple[Estimate, ...], ending: Ending | None) -> tuple[Estimate, ...]:
+    """The estimates, their messages with what cut the window short."""
+    if ending is None:
+        return estimates
+    why = f"window {max(ending.time, 0.0):.2f} s: {ending.why}"
+    return tuple(replace(one, message=f"{one.message}; {why}") for one in estimates)
 
 
 def _speed(stretch: Stretch, settings: FitSettings) -> SpeedCurve:

@@ -18,6 +18,7 @@ from tms_study.bound import FREE, table, to_json, to_text
 from tms_study.campaign_command import add_campaign, run_campaign
 from tms_study.demo import demo
 from tms_study.findings import findings_json, findings_text, write_markdown
+from tms_study.strikes_command import add_strikes, run_strikes
 from tms_study.validation import validate
 
 
@@ -30,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         _bound(arguments)
     elif arguments.command == "campaign":
         run_campaign(arguments)
+    elif arguments.command == "strikes":
+        run_strikes(arguments)
     else:
         _validate(arguments)
 
@@ -63,6 +66,7 @@ def _parser() -> Parser:
     command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
     command.add_argument("-o", "--output", help="Markdown file to write the table to")
     add_campaign(commands)
+    add_strikes(commands)
     return parser
 
 

@@ -22,6 +22,7 @@ from tms_fit.running.gyroscopes import Gyroscopes, Vector
 from tms_fit.settings import INITIAL, FitSettings
 from tms_fit.strike_fit import Stretch, StrikeFit, fit_strike, stretch_of, window_of
 from tms_fit.strikes.detector import StrikeDetector
+from tms_fit.strikes.ending import STAND, Ending, find_ending
 from tms_fit.strikes.given import GivenStrikes
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
 
@@ -30,6 +31,7 @@ __all__ = ["PATIENCE", "OnlineFit", "StrikeFit"]
 MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
 LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
 LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
+SAME = NANOSECONDS // 20  # [ns]; what ends a motion up to this long after a change is that change
 EXPLAINED = 0.5  # share of a change that the motion before must predict to be its cause; at most its inverse
 SWINGING: tuple[str, ...] = (
     "initial_lean_rate",
@@ -139,10 +141,12 @@ class OnlineFit:
         first_ns = int(fit.stretch.time_ns[0])
         end_ns = first_ns + round(settings.window * NANOSECONDS)
         end_ns = min([end_ns, *(onset for onset in self._onsets if onset > first_ns)])
-        stretch = fit.stretch.until(end_ns)
-        if end_ns > fit.end_ns and self._used and self._used[0].time_ns <= first_ns:
-            stretch = self._stretch(first_ns, end_ns)
-        return fit_strike(fit.strike, stretch, bicycle, settings)
+        over = fit.ending is not None and fit.ending.kind != "recording"
+        if not over and end_ns > fit.end_ns and self._used and self._used[0].time_ns <= first_ns:
+            stretch, ending = self._response(fit.strike, end_ns)
+        else:
+            stretch, ending = fit.stretch.until(end_ns), fit.ending if end_ns >= fit.end_ns else None
+        return fit_strike(fit.strike, stretch, bicycle, settings, ending=ending)
 
     def forget(self) -> None:
         """Let go of all samples; a window can't become longer any more."""
@@ -156,8 +160,8 @@ class OnlineFit:
     def _use(self, sample: Sample) -> None:
         self._used.append(sample)
         strike = self._detector.push(sample.time_ns, sample.angular_velocity[0])
-        if strike is not None and strike.kind != "given" and self._is_free_response(strike):
-            self._detector.withdraw("the bicycle's own motion, as the model continues what came before")
+        if strike is not None and strike.kind != "given" and (why := self._is_no_strike(strike)):
+            self._detector.withdraw(why)
             strike = None
         if strike is not None:
             self._strikes.append(strike)
@@ -166,9 +170,7 @@ class OnlineFit:
             self._latest = strike
         if self._filter is not None:
             self._run_filter(sample, strike)
-        while self._strikes and (
-            len(self._strikes) > 1 or sample.time_ns > self._strikes[0].time_ns + self._longest_ns
-        ):
+        while self._strikes and sample.time_ns > self._strikes[0].time_ns + self._longest_ns:
             self._fit()
         if self._strikes:
             self._preview(sample.time_ns)
@@ -204,6 +206,24 @@ class OnlineFit:
         torque = self._used[index - 1].steer_torque if index else 0.0
         return torque if math.isfinite(torque) and self._settings.steer_torque != "ignore" else 0.0
 
+    def _is_no_strike(self, strike: Strike) -> str:
+        """What a change is instead of a strike; an empty text: nothing else."""
+        speed, _ = self._aligned.speed.at(strike.onset_ns)
+        if "speed" not in self._settings.fixed and abs(speed) < STAND:
+            return "the bicycle stands"
+        if caught := self._caught(strike):
+            return caught
+        if self._is_free_response(strike):
+            return "the bicycle's own motion, as the model continues what came before"
+        return ""
+
+    def _caught(self, strike: Strike) -> str:
+        """How a change comes from the end of the free motion, as far as is known now; or an empty text."""
+        since = strike.onset_ns - LOOK_BACK
+        ending = self._ending(since, self._used[-1].time_ns)
+        ended = ending is not None and since + round(ending.time * NANOSECONDS) < strike.time_ns + SAME
+        return ending.why if ending is not None and ended else ""
+
     def _is_free_response(self, strike: Strike) -> bool:
         """Whether the motion just before, as the bicycle continues it, explains half of this change."""
         last, assumed = self._latest, SWINGING
@@ -232,13 +252,45 @@ class OnlineFit:
         return EXPLAINED < share < 1.0 / EXPLAINED
 
     def _fit(self) -> None:
-        """Fit the oldest open strike."""
+        """Fit the oldest open strike; of all that are open drop what turns out to be hands that caught it."""
+        for strike in [one for one in self._strikes if one.kind != "given"]:
+            if why := self._caught(strike):
+                self._detector.rejected.append(Rejected(strike.time_ns, strike.change, why))
+                self._strike_count -= 1
+                self._strikes.remove(strike)
+                self._onsets.remove(strike.onset_ns)
+        if not self._strikes:
+            return
         strike = self._strikes.pop(0)
         end_ns = strike.time_ns + round(self._settings.window * NANOSECONDS)
-        if self._strikes:
-            end_ns = min(end_ns, self._strikes[0].onset_ns)
-        stretch = self._stretch(strike.time_ns, end_ns)
-        self._results.append(fit_strike(strike, stretch, self._bicycle, self._settings))
+        stretch, ending = self._response(strike, end_ns)
+        self._results.append(fit_strike(strike, stretch, self._bicycle, self._settings, ending=ending))
+
+    def _response(self, strike: Strike, end_ns: int) -> tuple[Stretch, Ending | None]:
+        """What belongs to the free response after a strike, up to a time, and what ended it sooner."""
+        first_ns, newest_ns = strike.time_ns, self._used[-1].time_ns
+        following = [onset for onset in self._onsets if first_ns < onset < end_ns]
+        ending: Ending | None = None
+        if following:
+            end_ns = following[0]
+            ending = Ending("next_strike", (end_ns - first_ns) / NANOSECONDS, "the next strike begins")
+        elif newest_ns < end_ns:
+            ending = Ending("recording", (newest_ns - first_ns) / NANOSECONDS, "nothing more was recorded")
+        found = self._ending(first_ns, following[0] if following else newest_ns)
+        if found is not None and first_ns + round(found.time * NANOSECONDS) < end_ns:
+            ending = found
+            end_ns = first_ns + max(round(found.time * NANOSECONDS), 0)
+        return self._stretch(first_ns, end_ns), ending
+
+    def _ending(self, first_ns: int, last_ns: int) -> Ending | None:
+        """What ends the free motion between two times; its time is in seconds since the first."""
+        stretch = self._stretch(first_ns, last_ns)
+        return find_ending(
+            (stretch.time_ns - first_ns) / NANOSECONDS,
+            stretch.angular_velocity[:, ::2],
+            (stretch.speed_time_ns - first_ns) / NANOSECONDS,
+            stretch.speed,
+        )
 
     def _preview(self, now_ns: int) -> None:
         """Fit the open strike with what has come so far, every now and then."""
@@ -247,7 +299,7 @@ class OnlineFit:
         self._previewed_ns = now_ns
         strike = self._strikes[0]
         quick = replace(self._settings, estimators=self._settings.estimators[:1])
-        stretch = self._stretch(strike.time_ns, now_ns)
+        stretch, _ = self._response(strike, now_ns)
         self._results.append(fit_strike(strike, stretch, self._bicycle, quick, final=False))
 
     def _stretch(self, first_ns: int, last_ns: int) -> Stretch:

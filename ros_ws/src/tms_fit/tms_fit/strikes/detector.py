@@ -98,14 +98,23 @@ class StrikeDetector:
             time_ns += sum(when - time_ns for when, _ in self._bin) // count
             rate = sum(value for _, value in self._bin) / count
         self._bin.clear()
-        recent = self._rate[bisect_right(self._time, time_ns - MEAN) :]
-        recent.reverse()
-        mean = sum(recent, rate) / (len(recent) + 1)
+        mean = self._running_mean(time_ns, rate)
         swing, earlier = self._swing(time_ns, mean), self._earlier_memory(time_ns)
         kink = self._kink(time_ns, mean)
         self._append(time_ns, rate, mean, swing, kink)
         if len(self._time) > LEAST_SAMPLES:
             self._suspect(time_ns, swing, earlier, abs(kink))
+
+    def _running_mean(self, time_ns: int, rate: float) -> float:
+        """Mean over 50 ms; where these aren't whole samples, the first and the last count in part."""
+        first = bisect_right(self._time, time_ns - MEAN)
+        recent = self._rate[first:]
+        if not recent:
+            return rate
+        recent.append(rate)
+        spacing = (time_ns - self._time[first]) / (len(recent) - 1)
+        excess = min(max(len(recent) - MEAN / spacing, 0.0), 1.0)
+        return (sum(recent) - 0.5 * excess * (recent[0] + rate)) / (len(recent) - excess)
 
     def _suspect(self, time_ns: int, swing: float, earlier: float, kink: float) -> None:
         """Note the first swing and the first kink that nothing usual makes."""

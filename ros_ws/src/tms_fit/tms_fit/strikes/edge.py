@@ -24,6 +24,7 @@ BACK = 0.02  # [s] from where a change was noticed to where its middle is looked
 STEP = 0.002  # [s] of the grid of ends
 FINEST = 0.0025  # [s]; samples closer than this are averaged first
 SHIMMY = (12.0, 30.0)  # [Hz]
+HIGHEST = 0.46  # of a shimmy's frequency, per sample rate
 PROMINENT = 15.0  # power of a shimmy's peak, per median power of its neighbours
 UNKNOWNS = 6  # the parabola before, the jump, slope and curvature added after it
 
@@ -101,11 +102,12 @@ def shimmy_frequency(time: Array, rate: Array) -> float:
     """Frequency [Hz] of an oscillation between 12 and 30 Hz that stands out of (n,) samples; 0: none."""
     recent = time > time[-1] - 1.0 if len(time) else np.zeros(0, bool)
     x, y = time[recent], rate[recent]
-    if len(x) < 30 or (len(x) - 1) / (x[-1] - x[0]) < 2.0 * SHIMMY[1]:
+    if len(x) < 30:
         return 0.0
+    highest = min(SHIMMY[1], HIGHEST * (len(x) - 1) / float(x[-1] - x[0]))
     trend = np.polynomial.Polynomial.fit(x, y, 4)
     y = (y - trend(x)) * np.hanning(len(x))
-    tones = np.arange(SHIMMY[0], SHIMMY[1], 0.25)
+    tones = np.arange(SHIMMY[0], highest, 0.25)
     power = np.abs(np.exp(-2j * np.pi * np.outer(tones, x - x[0])) @ y) ** 2
     best = int(np.argmax(power))
     return float(tones[best]) if power[best] > PROMINENT * np.median(power) else 0.0

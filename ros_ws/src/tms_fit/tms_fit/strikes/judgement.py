@@ -16,7 +16,8 @@ LEAST_SAMPLES = 10  # that show the noise; before them no change can be told fro
 MEAN = 50_000_000  # [ns] of the running mean: one period of a 20 Hz shimmy
 SUDDEN = 0.03  # [s]; a rise as short as this is no part of a push
 OUTLIER = 2.0  # largest step per change of the running mean; one sample among five has 5
-KINKED = 0.5  # largest kink per change; a push of 0.2 s has 0.3, an impulse of 0.05 s nearly 1
+KINKED = 0.43  # largest kink per change; a push of 0.15 s has 0.4 at most, an impulse of 0.08 s 0.45 to 0.6
+BESIDE = 0.025  # [s] before the onset and after the end of a change, whose means tell how large it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ def judge_kink(stretch: Stretch, trigger_ns: int, needed: float, settings: Strik
     edge = fit_edge(seconds, rate)
     if edge is None or not _is_sudden(edge, stretch, trigger_ns, settings):
         return None
-    if abs(edge.change) - edge.change_std < settings.least_change:
+    if not _is_large(edge, seconds, rate, settings):
         return None
     end_ns = trigger_ns + round(edge.end * NANOSECONDS)
     if edge.sharp:
@@ -136,6 +137,27 @@ def _is_sudden(edge: Edge, stretch: Stretch, trigger_ns: int, settings: StrikeSe
     around = np.abs(stretch.bin_time - trigger_ns) <= rise
     near = around & (stretch.bin_time <= trigger_ns + 2 * MEAN)
     return float(np.abs(stretch.kink[near]).max()) > KINKED * float(np.ptp(stretch.bin_mean[around]))
+
+
+def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeSettings) -> bool:
+    """Whether the fitted jump, or else the rise from before to after it, is as large as a strike's.
+
+    What the bicycle does at once is part of the rise; a jump of 50 ms and a slope that changes there can't be
+    told apart by their sizes, only by when they end.
+    """
+    if abs(edge.change) - edge.change_std >= settings.least_change:
+        return True
+    onset = edge.end - edge.rise
+    before = rate[(seconds >= onset - BESIDE) & (seconds < onset)]
+    after = rate[(seconds >= edge.end) & (seconds <= edge.end + BESIDE)]
+    if not len(before) or not len(after):
+        return False
+    rise = float(np.median(after) - np.median(before))  # one outlier is no rise
+    std = noise_of(rate[seconds < onset]) * math.sqrt(1.0 / len(before) + 1.0 / len(after))
+    return (
+        abs(edge.change) > edge.change_std
+        and math.copysign(1.0, edge.change) * rise - std >= settings.least_change
+    )
 
 
 def _same_again(last: Strike | None, time_ns: int, settings: StrikeSettings) -> bool:
