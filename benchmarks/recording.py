@@ -107,6 +107,7 @@ def publish(topics: int, rate: float, duration: float) -> None:
     publishers = [node.create_publisher(Imu, f"imu_{k}", QoSProfile(depth=100)) for k in range(topics)]
     while not all(publisher.get_subscription_count() for publisher in publishers):
         time.sleep(0.01)
+    time.sleep(2.0)  # that the publishers know the recorder does not mean that it knows them
     data, sent, start = imu_records(1)[0].data, 0, time.monotonic()
     while (elapsed := time.monotonic() - start) < duration:
         due = int(elapsed * rate)
@@ -142,8 +143,8 @@ def record_load(topics: int, rate: float, duration: float) -> tuple[int, int, di
         recorder.wait()
         with BagReader(f"{folder}/bag") as bag:
             lost = yaml.safe_load(bag.custom_data["lost"])
-            for topic, number in yaml.safe_load(bag.custom_data["sent_before_recording"]).items():
-                lost[topic] = lost.get(topic, 0) + number
+            if before := yaml.safe_load(bag.custom_data["sent_before_recording"]):
+                print(f"  (sent before the recorder listened: {before})")
             return int(published.stdout.split()[-1]), bag.message_count, lost, share
 
 

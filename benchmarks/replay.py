@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,10 @@ from measure import print_machine
 from tms_bag import BagReader, BagWriter, conversion, topics
 from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+from tms_fit.running.live import INPUTS, LiveFit
+from tms_fit.settings import FitSettings
+from tms_sim.run import simulate
+from tms_sim.scenario import load_scenario
 from tms_study.processes import own_domain
 
 START = 1_700_000_000_000_000_000  # [ns]
@@ -77,21 +82,55 @@ def timing(folder: Path, rate: float, duration: float, speed: float) -> None:
     )
 
 
-def lossless(folder: Path, rate: float, duration: float) -> None:
-    """Messages a second through the estimator."""
-    bag = folder / "long"
-    write_bag(bag, rate, duration)
-    estimator = start("tms_fit.nodes.estimator")
+def write_strikes(path: Path, runs: int, duration: float) -> None:
+    """Simulated runs one after the other, each with a strike."""
+    with BagWriter(path) as bag:
+        for number in range(runs):
+            start_ns = START + round(number * (duration + 10.0) * 1e9)
+            changes = {"seed": number + 1, "duration": duration, "start_time_ns": start_ns}
+            run = simulate(load_scenario("tms_strike", changes), np.random.default_rng(number + 1))
+            for record in run.records():
+                if record.topic.removeprefix("/") in INPUTS:
+                    bag.write(record, topics.QOS[record.topic.removeprefix("/")])
+
+
+def answers(bag: Path) -> dict[str, list[bytes]]:
+    """What the estimator says of a bag when it is given the messages in order, without ROS."""
+    live, found = LiveFit(FitSettings()), defaultdict(list)
+    with BagReader(bag) as reader:
+        said = [one for r in reader.records() for one in live.take(r.topic.removeprefix("/"), r.data)]
+    for one in said + live.finish():
+        found[one.topic].append(one.data)
+    return found
+
+
+def lossless(folder: Path, runs: int, duration: float, speed: float) -> None:
+    """Messages a second through the estimator, and whether its answers are those without ROS."""
+    bag, copy = folder / "strikes", folder / f"answers_{speed:g}"
+    if not bag.exists():
+        write_strikes(bag, runs, duration)
+    expected = answers(bag)
+    recorder = start("tms_bag.nodes.recorder", f"output:={copy}", f"topics:=[{', '.join(expected)}]")
+    estimator = start("tms_fit.nodes.estimator", "idle:=5.0")
     began = time.monotonic()
-    parameters = [f"bag:={bag}", "rate:=1000.0", "lossless:=true", "wait_timeout:=300.0"]
+    parameters = [f"bag:={bag}", f"rate:={speed}", "lossless:=true", "wait_timeout:=300.0"]
     code = start("tms_bag.nodes.player", *parameters).wait()
     took = time.monotonic() - began
-    estimator.send_signal(signal.SIGINT)
-    estimator.wait()
+    time.sleep(10.0)  # the last run counts as ended after 5 s
+    for node in (estimator, recorder):
+        node.send_signal(signal.SIGINT)
+        node.wait()
     with BagReader(bag) as reader:
-        count = reader.message_count
-    print(f"  {count} messages through the estimator in {took:.1f} s, start of the processes included")
-    print(f"  {duration / took:.0f} times real time, exit code {code}")
+        count, length = reader.message_count, (reader.end_ns - reader.start_ns) / 1e9
+    print(f"  rate {speed:g}: {count} messages in {took:.1f} s, start of the processes included: ", end="")
+    print(f"{length / took:.0f} times real time, exit code {code}")
+    with BagReader(copy) as reader:
+        for topic, those in expected.items():
+            found = [record.data for record in reader.records([topic])]
+            same = sum(one == other for one, other in zip(found, those, strict=False))
+            print(
+                f"    {topic}: {len(those)} answers expected, {len(found)} came, {same} the same to the byte"
+            )
 
 
 def main() -> None:
@@ -105,7 +144,8 @@ def main() -> None:
         for rate, speed in ((100.0, 1.0), (400.0, 1.0), (400.0, 5.0)):
             if not quick or rate == 100.0 or speed == 5.0:
                 timing(Path(name), rate, 1.0 if quick else 20.0, speed)
-        lossless(Path(name), 100.0, 5.0 if quick else 600.0)
+        for speed in (1000.0,) if quick else (100.0, 1000.0):
+            lossless(Path(name), *((1, 5.0) if quick else (10, 50.0)), speed)
 
 
 if __name__ == "__main__":
