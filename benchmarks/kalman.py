@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from measure import Timing, in_turn, print_machine
+from measure import Timing, by_processor, in_turn, print_machine
 from numpy.typing import NDArray
 from tms_fit.kalman.batch import filter_batch, smooth_start
 from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space
@@ -32,7 +32,8 @@ def main() -> None:
     runs, samples, repeats = (50, 50, 3) if quick else (10_000, 400, 5)
     print_machine(("numpy", "filterpy", "statsmodels"))
     print(
-        f"medians of {repeats} repeats, quartiles in brackets; {samples} samples of two channels, six states"
+        f"processor time, medians of {repeats} repeats, quartiles in brackets; {samples} samples of two"
+        " channels, six states"
     )
     system = linear_system(load_bicycle("tms_eq_10_1"), 3.6)
     space = bicycle_space(system, np.arange(samples) / RATE, (NOISE, NOISE), np.zeros(STATES), STD)
@@ -53,6 +54,7 @@ def main() -> None:
         },
         repeats,
     )
+    timings = by_processor(timings)
     print_per_sample(timings, samples)
     ours, theirs = filter_batch(space, measured[:1]), by_filterpy(space, measured[0])
     print(f"largest difference between tms_fit and filterpy: {np.abs(ours.state[0] - theirs).max():.1e}")

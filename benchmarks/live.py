@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import argparse
 import resource
+import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from measure import Timing, in_turn, print_machine
+from measure import Timing, by_processor, in_turn, print_machine
 from numpy.typing import NDArray
 from tms_bag import Record, conversion, topics
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
@@ -41,24 +42,30 @@ def main() -> None:
         print_memory(asked.stream)
         return
     count, repeats = (150, 3) if asked.quick else (2000, 11)
-    quiet, struck = samples(count, 0.0), samples(count, 0.5)
+    for rate in (100,) if asked.quick else (100, 1000):
+        print(f"\n{rate} Hz, processor time")
+        print_costs(count, repeats, rate)
+        print_peaks(rate)
+
+
+def print_costs(count: int, repeats: int, rate: int) -> None:
+    """What a sample costs, and its parts."""
+    quiet, struck = samples(count, 0.0, rate=rate), samples(count, 0.5, rate=rate)
     messages, swinging = encoded(quiet), encoded(struck)
     steps = [one for one in fed(quiet, FitSettings()).results() if isinstance(one, FilterStep)]
     records = [Record("/" + topics.IMU, topics.TYPES[topics.IMU], 0, data) for kind, data in messages
                if kind == topics.IMU]  # fmt: skip
-    timings = in_turn(
-        {
-            "filterpy, predict, update, Mahalanobis": lambda: by_filterpy(quiet),
-            "OnlineFit, linear": lambda: fed(quiet, FitSettings()),
-            "OnlineFit, extended": lambda: fed(quiet, FitSettings(filter="extended")),
-            "reading the messages": lambda: [conversion.imu_reading(record) for record in records],
-            "writing the messages": lambda: [filter_state_record(step) for step in steps],
-            "LiveFit, all of these, linear": lambda: taken(messages, 0.0),
-            "LiveFit, strikes, final fits": lambda: taken(swinging, 0.0),
-            "LiveFit, strikes, final fits and previews": lambda: taken(swinging, 0.25),
-        },
-        repeats,
-    )
+    ways = {
+        "filterpy, predict, update, Mahalanobis": lambda: by_filterpy(quiet),
+        "OnlineFit, linear": lambda: fed(quiet, FitSettings()),
+        "OnlineFit, extended": lambda: fed(quiet, FitSettings(filter="extended")),
+        "reading the messages": lambda: [conversion.imu_reading(record) for record in records],
+        "writing the messages": lambda: [filter_state_record(step) for step in steps],
+        "LiveFit, all of these, linear": lambda: taken(messages, 0.0),
+        "LiveFit, strikes, final fits": lambda: taken(swinging, 0.0),
+        "LiveFit, strikes, final fits and previews": lambda: taken(swinging, 0.25),
+    }
+    timings = by_processor(in_turn(ways, repeats))
     print(f"medians of {repeats} repeats, quartiles in brackets; {count} IMU samples, {count // 5} speeds")
     for timing in timings.values():
         print_one(timing, timings["filterpy, predict, update, Mahalanobis"], count)
@@ -73,35 +80,65 @@ def print_one(timing: Timing, peer: Timing, count: int) -> None:
     )
 
 
+def print_peaks(rate: int) -> None:
+    """How long one message holds up the next: the shortest of three times each, over 12 s with a strike."""
+    messages = encoded(samples(12 * rate, 0.5, rate=rate))
+    for preview in (0.0, 0.25):
+        spent = np.full(len(messages), np.inf)
+        for _ in range(3):
+            fit = LiveFit(FitSettings(), preview_period=preview)
+            for row, (topic, data) in enumerate(messages):
+                start = time.thread_time()
+                fit.take(topic, data)
+                spent[row] = min(spent[row], time.thread_time() - start)
+        median, high, higher, most = 1e3 * np.percentile(spent, [50, 99, 99.9, 100])
+        print(
+            f"  a message, previews {'on' if preview else 'off':3}: median {median:.3f} ms, 99 % {high:.3f},"
+            f" 99.9 % {higher:.3f}, longest {most:.1f} ms"
+        )
+
+
 def print_memory(count: int) -> None:
-    """Largest resident memory after each tenth of a stream."""
+    """Largest resident memory, and processor time for each sample, after each tenth of a stream."""
     fit, rng, start_ns = LiveFit(FitSettings()), np.random.default_rng(1), SECOND
     (info,) = conversion.run_info_records(INFO)
     fit.take(topics.RUN_INFO, info.data)
-    done, shown = 0, 0
+    done, shown, spent, since = 0, 0, 0.0, 0
     while done < count:
-        for topic, data in encoded(samples(PERIOD, 0.5, start_ns, rng))[1:]:
+        messages = encoded(samples(PERIOD, 0.5, start_ns, rng))[1:]
+        start = time.process_time()
+        for topic, data in messages:
             fit.take(topic, data)
+        spent += time.process_time() - start
         done, start_ns = done + PERIOD, start_ns + PERIOD * (SECOND // RATE)
         if done * 10 // count > shown:
             shown = done * 10 // count
             used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-            print(f"  {done:9d} samples, {fit.counts['strikes']:5d} strikes: {used:8.1f} MiB", flush=True)
+            each, spent, since = 1e6 * spent / (done - since), 0.0, done
+            strikes = fit.counts["strikes"]
+            print(
+                f"  {done:9d} samples, {strikes:5d} strikes: {used:8.1f} MiB, {each:6.1f} us a sample",
+                flush=True,
+            )
 
 
 def samples(
-    count: int, lean_rate: float, start_ns: int = SECOND, rng: np.random.Generator | None = None
+    count: int,
+    lean_rate: float,
+    start_ns: int = SECOND,
+    rng: np.random.Generator | None = None,
+    rate: int = RATE,
 ) -> ImuSamples:
     """A ride that is struck a third into it, in axes of the sensor."""
-    time = np.arange(count) / RATE
+    times = np.arange(count) / rate
     system = linear_system(load_bicycle(INFO.bicycle), SPEED)
     states = np.zeros((count, 4))
     after = np.arange(count) >= count // 3
-    states[after] = response(system, np.array([0.0, 0.0, lean_rate, 0.0]), time[after] - time[after][0])
+    states[after] = response(system, np.array([0.0, 0.0, lean_rate, 0.0]), times[after] - times[after][0])
     rates = np.zeros((count, 3))
     rates[:, 0], rates[:, 2] = states[:, 2], yaw_rate(system, states)
     rates += NOISE * (rng or np.random.default_rng(1)).standard_normal(rates.shape)
-    stamps = start_ns + np.arange(count) * (SECOND // RATE)
+    stamps = start_ns + np.arange(count) * (SECOND // rate)
     return ImuSamples(stamps, flip_axes(rates), np.zeros_like(rates), np.full(3, NOISE**2))
 
 
