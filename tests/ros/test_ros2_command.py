@@ -210,7 +210,7 @@ def launch(ros2: Ros2, file: str, *arguments: str) -> str:
 def test_an_experiment_and_its_replay_are_launched(ros2: Ros2) -> None:
     (ros2.folder / "mine.yaml").write_text("/**/simulator:\n  ros__parameters:\n    duration: 5.0\n")
     common = ("namespace:=lab", "params_file:=mine.yaml")
-    said = launch(ros2, "tms_sim/launch/experiment.launch.py", "output:=run", "rate:=4", *common)
+    said = launch(ros2, "tms_study/launch/experiment.launch.py", "output:=run", "rate:=4", *common)
     assert said.count("process has finished cleanly") == 3
     recording = read_recording(ros2.folder / "run")
     assert len(recording.imu.time_ns) == 501
@@ -227,6 +227,6 @@ def test_an_experiment_and_its_replay_are_launched(ros2: Ros2) -> None:
 @needs_launch
 def test_a_launch_ends_when_one_of_its_nodes_can_not_begin(ros2: Ros2) -> None:
     (ros2.folder / "run").mkdir()
-    said = launch(ros2, "tms_sim/launch/experiment.launch.py", "output:=run")
+    said = launch(ros2, "tms_study/launch/experiment.launch.py", "output:=run")
     assert "error: run: exists already" in said
     assert "was required: shutting down launched system" in said

@@ -19,7 +19,6 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/launch", ["launch/experiment.launch.py"]),
     ],
     python_requires=">=3.10,<3.14",
     install_requires=[

@@ -10,6 +10,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", ["launch/experiment.launch.py"]),
     ],
     python_requires=">=3.10,<3.14",
     install_requires=["setuptools", "matplotlib>=3.6", "numpy>=1.26", "scipy>=1.11", "tqdm>=4.66"],

@@ -1,6 +1,6 @@
 """A simulated experiment: simulator, estimator and recorder.
 
-ros2 launch tms_sim experiment.launch.py output:=my_bag scenario:=tms_strike rate:=2.0
+ros2 launch tms_study experiment.launch.py output:=my_bag scenario:=tms_strike rate:=2.0
 """
 
 from launch import LaunchContext, LaunchDescription
