@@ -371,21 +371,49 @@ def test_hypotheses_and_budget_on_request(command: Any, bag: Path) -> None:
     assert "error budget of the initial lean rate" in text
 
 
-def test_a_confident_wrong_answer_is_said_to_be_doubtful(
-    command: Any, bag: Path, make_run: Any, tmp_path: Path
-) -> None:
+def test_a_kicked_steering_is_found_and_said(command: Any, bag: Path, make_run: Any, tmp_path: Path) -> None:
     # The strike of gym_run kicks the steering: without a steer rate the interval misses the truth.
     run = make_run("gym_run", duration=6.0)
     kicked = write(tmp_path / "kicked", run.records())
+    end = next(one.time_ns + round(one.duration * 1e9) for one in run.events if one.kind == "strike")
+    truth = float(run.trajectory.at(np.array([(end - run.info.start_ns) / 1e9])).lean_rate[0])
     (strike,) = json.loads(command("tms_fit", "run", kicked, "--json").out)["strikes"]
-    truth = float(run.state.state[np.searchsorted(run.state.time_ns, strike["time_ns"]) + 1, 2])
-    low, _ = strike["estimates"][0]["parameters"]["initial_lean_rate"]["ci95"]
-    assert low > truth
-    assert strike["doubt"]["parameter"] == "initial_steer_rate"
-    assert strike["doubt"]["sentence"] in command("tms_fit", "run", kicked).out
+    best = strike["estimates"][0]
+    low, high = best["parameters"]["initial_lean_rate"]["ci95"]
+    assert low < truth < high
+    assert "initial_steer_rate" in best["parameters"]
+    assert "initial steer rate" in best["chosen"][0]
+    assert f"chosen: {best['chosen'][0]}" in command("tms_fit", "run", kicked).out
+    assert strike["doubt"] is None
+    # Held to a start upright and straight it is wrong, and whatever the noise model that is said.
+    held = ("--free", "initial_lean_rate,lean_rate_bias,yaw_rate_bias", "--estimator", "least_squares")
+    for noise in ("auto", "ar", "white"):
+        done = command("tms_fit", "run", kicked, "--json", "--noise", noise, *held)
+        (strike,) = json.loads(done.out)["strikes"]
+        low, _ = strike["estimates"][0]["parameters"]["initial_lean_rate"]["ci95"]
+        assert low > truth
+        assert strike["doubt"]["parameter"] == "initial_steer_rate"
     # Where the model is right nothing is said.
-    assert json.loads(command("tms_fit", "run", bag, "--json").out)["strikes"][0]["doubt"] is None
-    assert "doubtful" not in command("tms_fit", "run", bag).out
+    (strike,) = json.loads(command("tms_fit", "run", bag, "--json").out)["strikes"]
+    assert (strike["doubt"], strike["estimates"][0]["chosen"]) == (None, [])
+    text = command("tms_fit", "run", bag).out
+    assert "doubtful" not in text
+    assert "chosen" not in text
+
+
+@pytest.mark.parametrize(
+    ("option", "texts", "said"),
+    [
+        ("--fix", ("speed=3", "speed=4"), "--fix: speed: expected each name once, found it twice"),
+        ("--prior", ("speed=3,1", "speed=4,1"), "--prior: speed: expected each name once, found it twice"),
+        ("--prior", ("speed=3,0",), "STD positive"),
+        ("--oscillator", ("20,x",), "expected numbers"),
+    ],
+)
+def test_what_is_said_twice_or_wrongly_is_refused(
+    refused: Any, bag: Path, option: str, texts: tuple[str, ...], said: str
+) -> None:
+    assert said in refused("tms_fit", "run", bag, *(word for text in texts for word in (option, text)))
 
 
 def test_strikes_are_not_counted_double(command: Any, bag: Path) -> None:

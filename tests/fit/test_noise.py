@@ -11,14 +11,17 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import norm
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.losses import LOSSES, Loss
+from tms_fit.kalman.batch import filter_batch
+from tms_fit.kalman.state_space import bicycle_space, with_oscillator
+from tms_fit.least_squares.losses import LOSSES, Loss, outlier_count
 from tms_fit.least_squares.noise import NOISES
-from tms_fit.least_squares.noise.process import ChannelNoise, autocovariances, burg, grid_places, process
+from tms_fit.least_squares.noise.oscillation import Oscillations
+from tms_fit.least_squares.noise.process import ProcessNoise, autocovariances, burg, grid_places, process
 from tms_fit.least_squares.prediction import predictor
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window, without_saturated
-from tms_model import ParameterError, load_bicycle
+from tms_model import ParameterError, linear_system, load_bicycle
 
 TRUTH = {"initial_lean_rate": 0.5}
 REFLECTIONS = np.array([0.9, -0.4, 0.3])
@@ -67,7 +70,7 @@ def test_whitening_is_the_inverse_of_the_covariance() -> None:
 def test_missing_samples_leave_the_likelihood_exact() -> None:
     rng = np.random.default_rng(1)
     places = np.concatenate([[0], np.sort(rng.permutation(np.arange(1, 60))[:35])])
-    channel = ChannelNoise(process(REFLECTIONS), 0.7, places, int(places[-1]) + 1)
+    channel = ProcessNoise(process(REFLECTIONS), 0.7, places, int(places[-1]) + 1)
     covariance = 0.49 * toeplitz(autocovariances([channel.process], channel.count)[0])[np.ix_(places, places)]
     values = rng.standard_normal((36, 2))
     rows = channel.rows(values)
@@ -96,14 +99,16 @@ def test_places_on_a_grid() -> None:
 def test_intervals_hold_under_coloured_noise(kind: str) -> None:
     # 80 runs each: 0.95 +- 0.024; the naive interval holds in about 0.5, 0.3 and (too wide) 1.0 of them.
     rng, window = np.random.default_rng(7), clean_window()
-    held, naive = 0, 0
+    held, naive, swinging = 0, 0, 0
     for _ in range(80):
         noise = shaking(rng, 150) if kind == "shimmy" else coloured(rng, 150, float(kind.split()[1]))
         answers = [fit_window(plus(window, noise), FitSettings(noise=name)) for name in ("auto", "white")]
         inside = [one.ci95[0, 0] <= 0.5 <= one.ci95[0, 1] for one in answers]
         held, naive = held + inside[0], naive + inside[1]
-        assert answers[0].noise_model == "ar"
+        assert answers[0].noise_model in ({"ar", "oscillator"} if kind == "shimmy" else {"ar"})
+        swinging += answers[0].noise_model == "oscillator"
     assert 0.88 <= held / 80 <= 1.0
+    assert swinging >= 60 if kind == "shimmy" else swinging == 0
     assert naive / 80 > 0.985 if kind == "shimmy" else naive / 80 < 0.7
 
 
@@ -237,3 +242,94 @@ def test_censored_fit_is_the_maximum_of_tobits_likelihood() -> None:
 def test_censoring_needs_white_noise_and_squares(wrong: dict[str, str]) -> None:
     with pytest.raises(ParameterError, match="censor goes with white noise and squares"):
         FitSettings(saturation="censor", **wrong)  # type: ignore[arg-type]
+
+
+def oscillation(
+    time: np.ndarray, frequency: float, decay_time: float, std: float, white: float
+) -> np.ndarray:
+    """Covariance (n, n) of an oscillator in white noise, entry by entry."""
+    lag = np.abs(time[:, None] - time)
+    swing = std**2 * np.exp(-lag / decay_time) * np.cos(2.0 * np.pi * frequency * lag)
+    return np.asarray(swing + white**2 * np.eye(len(time)))
+
+
+def test_an_oscillator_is_made_white_by_the_inverse_of_its_covariance() -> None:
+    rng = np.random.default_rng(21)
+    time = np.cumsum(rng.uniform(0.005, 0.02, 60))  # irregular, as where samples are lost
+    values = rng.standard_normal((60, 3))
+    shapes = Oscillations(time, np.array([20.0, 7.0]), np.array([0.8, 0.1]), np.array([2.5, 0.7]))
+    for index, (frequency, decay_time, ratio) in enumerate([(20.0, 0.8, 2.5), (7.0, 0.1, 0.7)]):
+        one = shapes.member(index, 0.02)
+        covariance = oscillation(time, frequency, decay_time, 0.02 * ratio, 0.02)
+        rows = one.rows(values)
+        np.testing.assert_allclose(rows.T @ rows, values.T @ np.linalg.solve(covariance, values), rtol=1e-9)
+        assert one.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
+        np.testing.assert_allclose(shapes.products(values)[index] / 0.02**2, rows.T @ rows, rtol=1e-12)
+
+
+def test_an_oscillator_is_that_of_the_kalman_filter() -> None:
+    # The likelihood of tms_fit.kalman's state space, its bicycle known exactly, is Schweppe's by these rows.
+    rng, time = np.random.default_rng(22), np.arange(150) * 0.01
+    noise = shaking(rng, 150)
+    system = linear_system(load_bicycle("tms_eq_10_1"), 3.6)
+    space = bicycle_space(system, time, (0.02, 0.02), np.zeros(6), np.full(6, 1e-9))
+    filtered = filter_batch(with_oscillator(space, time, 1, 20.0, 1.0, 0.05), noise[None])
+    one = Oscillations(time, np.array([20.0]), np.array([1.0]), np.array([2.5])).member(0, 0.02)
+    lean, yaw = noise[:, 0] / 0.02, one.rows(noise[:, 1])
+    expected = np.stack([lean**2, yaw**2], axis=1).sum(axis=1)
+    np.testing.assert_allclose(filtered.nis.reshape(-1), expected, rtol=1e-5)
+
+
+def test_what_an_oscillator_is_like_is_found_or_given() -> None:
+    window = plus(clean_window(), shaking(np.random.default_rng(23), 150))
+    found = fit_window(window, FitSettings(noise="oscillator"))
+    assert found.noise["yaw_rate_oscillator_frequency"] == pytest.approx(20.0, abs=0.5)
+    assert 0.02 < found.noise["yaw_rate_oscillator_std"] < 0.12
+    assert found.noise["lean_rate_noise_std"] == pytest.approx(0.02, rel=0.2)
+    assert "lean_rate_oscillator_frequency" not in found.noise
+    assert "the noise is taken as white with an oscillation of 2" in found.message
+    given = fit_window(window, FitSettings(noise="oscillator", oscillator=(21.0, 1.0)))
+    assert given.noise["yaw_rate_oscillator_frequency"] == 21.0
+    assert given.noise["yaw_rate_oscillator_decay_time"] == 1.0
+    assert given.log_likelihood < found.log_likelihood
+
+
+@pytest.mark.parametrize(
+    ("oscillator", "noise", "match"),
+    [
+        ((20.0,), "white", "expected noise oscillator or auto"),
+        ((20.0, -1.0), "auto", "each positive"),
+        ((1.0, 1.0, 1.0, 1.0), "oscillator", "expected a frequency"),
+    ],
+)
+def test_an_oscillator_that_can_not_be(oscillator: tuple[float, ...], noise: str, match: str) -> None:
+    with pytest.raises(ParameterError, match=match):
+        FitSettings(oscillator=oscillator, noise=noise)
+
+
+def test_outliers_are_seen_and_only_outliers() -> None:
+    rng, window = np.random.default_rng(24), clean_window()
+    spoilt = [fit_window(with_outliers(rng, window), FitSettings()) for _ in range(20)]
+    assert sum(one.loss == "huber" for one in spoilt) >= 19
+    assert "apart from the neighbours, so outliers count less" in " ".join(spoilt[0].chosen)
+    robust = fit_window(with_outliers(np.random.default_rng(25), window), FitSettings())
+    asked = fit_window(with_outliers(np.random.default_rng(25), window), FitSettings(loss="huber"))
+    np.testing.assert_array_equal(robust.values, asked.values)
+    clean = [0.02 * rng.standard_normal((150, 2)) for _ in range(200)]
+    assert sum(outlier_count(one) > 0 for one in clean) <= 6  # 0.7 % of runs are expected
+    assert outlier_count(np.stack([np.sin(np.arange(150) * 0.2), np.zeros(150)], axis=1)) == 0
+
+
+def test_a_start_that_is_not_straight_is_found_by_evidence() -> None:
+    rng, window = np.random.default_rng(26), clean_window()
+    rates = predictor(window).predict({"initial_lean_rate": 0.5, "initial_steer_rate": -1.5})
+    kicked = replace(window, lean_rate=rates[:, 0], yaw_rate=rates[:, 1])
+    answer = fit_window(plus(kicked, 0.02 * rng.standard_normal((150, 2))), FitSettings())
+    assert "initial_steer_rate" in answer.names
+    assert abs(answer.parameters["initial_steer_rate"] + 1.5) < 4.0 * answer.std[3]
+    assert "else the initial lean rate would be" in answer.chosen[0]
+    held = fit_window(kicked, FitSettings(free=("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")))
+    assert held.names == ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
+    alike = [coloured(rng, 150, 0.2) for _ in range(20)]  # coloured noise is no evidence for a kick
+    frees = [fit_window(plus(window, noise), FitSettings()).names for noise in alike]
+    assert sum("initial_steer_rate" in names for names in frees) <= 1

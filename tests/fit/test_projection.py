@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares as brute_force
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.prediction import STEPS, derivative, predictor
-from tms_fit.settings import NONLINEAR, PARAMETERS, FitSettings
+from tms_fit.settings import INITIAL, NONLINEAR, PARAMETERS, FitSettings
 from tms_fit.speed_curve import SpeedCurve, constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle
@@ -189,4 +189,4 @@ def test_a_bicycle_of_matrices_only_has_no_changing_speed() -> None:
 
 def test_all_names_have_a_place() -> None:
     assert set(TRUTH) <= set(PARAMETERS)
-    assert set(STEPS) == set(NONLINEAR)
+    assert set(STEPS) == {*NONLINEAR, *INITIAL}

@@ -12,7 +12,7 @@ from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
-from tms_fit.arguments import assignment, names
+from tms_fit.arguments import assignment, each_once, names, numbers, prior
 from tms_fit.criticism.scrutiny import ASKED
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.joint.commands import add_arguments, print_calibration, print_together
@@ -153,7 +153,7 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
         "--prior",
         action="append",
         default=[],
-        type=_prior,
+        type=prior,
         metavar="NAME=MEAN,STD",
         help="a free parameter of which something is known beforehand; may be repeated",
     )
@@ -198,14 +198,24 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
         "--noise",
         choices=NOISE_MODELS,
         default=FitSettings.noise,
-        help="white; autoregressive, as intervals need when neighbouring residuals are alike; or auto: the"
-        " second when they are (default %(default)s)",
+        help="white; autoregressive, as intervals need when neighbouring residuals are alike; white with an"
+        " oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the others"
+        " (default %(default)s)",
+    )
+    command.add_argument(
+        "--oscillator",
+        type=numbers,
+        default=FitSettings.oscillator,
+        metavar="HZ[,S[,RATE]]",
+        help="what is known of that oscillation: frequency, time in which its phase is forgotten, standard"
+        " deviation [rad/s] (default: found from the residuals)",
     )
     command.add_argument(
         "--loss",
         choices=LOSSES,
         default=FitSettings.loss,
-        help="huber and student_t are not moved by outliers (default %(default)s)",
+        help="squares; huber and student_t, which outliers don't move; or auto: squares, and huber when the"
+        " residuals hold outliers (default %(default)s)",
     )
     command.add_argument(
         "--gyroscope-range",
@@ -248,14 +258,15 @@ def _fit(
 ) -> RecordingFit:
     settings = FitSettings(
         free=arguments.free,
-        fixed=dict(arguments.fix),
+        fixed=each_once(arguments.fix, "--fix"),
         window=arguments.window,
-        priors=dict(arguments.prior),
+        priors=each_once(arguments.prior, "--prior"),
         steer_torque=arguments.steer_torque,
         speed_model=arguments.speed_model,
         resistance=arguments.resistance,
         channels=arguments.channels,
         noise=arguments.noise,
+        oscillator=arguments.oscillator,
         loss=arguments.loss,
         gyroscope_range=arguments.gyroscope_range,
         saturation=arguments.saturation,
@@ -268,17 +279,6 @@ def _fit(
         arguments.bag, arguments.imu_topic, arguments.speed_topic, arguments.steer_torque_topic
     )
     return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings, strike_times)
-
-
-def _prior(text: str) -> tuple[str, tuple[float, float]]:
-    name, equals, numbers = text.partition("=")
-    mean, comma, std = numbers.partition(",")
-    try:
-        if equals and comma:
-            return name.strip(), (float(mean), float(std))
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with two numbers, found {text!r}")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Iterable
+from typing import TypeVar
+
+from tms_model import ParameterError
+
+Value = TypeVar("Value")
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -19,3 +26,33 @@ def assignment(text: str) -> tuple[str, float]:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"expected NAME=VALUE with a number, found {text!r}")
+
+
+def prior(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=MEAN,STD as a name, a mean and a positive deviation. Raises argparse.ArgumentTypeError."""
+    name, equals, values = text.partition("=")
+    try:
+        mean, std = (float(part) for part in values.split(","))
+        if equals and math.isfinite(mean) and 0.0 < std < math.inf:
+            return name.strip(), (mean, std)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with STD positive, found {text!r}")
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """NUMBER,NUMBER,... as numbers. Raises argparse.ArgumentTypeError."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected numbers, found {text!r}") from None
+
+
+def each_once(pairs: Iterable[tuple[str, Value]], option: str) -> dict[str, Value]:
+    """Names and values as a dictionary. Raises ParameterError for a name that comes twice."""
+    found: dict[str, Value] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ParameterError(f"{option}: {name}: expected each name once, found it twice")
+        found[name] = value
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import t as student_t
 from tms_model.bicycle import Array
 
-from tms_fit.settings import NONLINEAR, FitSettings
+from tms_fit.settings import FitSettings, shaping
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,8 @@ class Estimate:
     jacobian: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p) of predicted by values
     noise: Mapping[str, float] = field(default_factory=dict)  # parameters of the noise model, by name
     noise_model: str = "white"
+    loss: str = "squares"  # of LOSSES, as used
+    chosen: tuple[str, ...] = ()  # what the data decided where the settings left it open, and why
     log_likelihood: float = float("nan")  # at the maximum, noise parameters included
     unknown_count: int = 0  # of the likelihood: parameters and noise parameters
     settings: FitSettings | None = None  # as asked for
@@ -55,7 +57,7 @@ class Estimate:
     @property
     def nonlinear(self) -> dict[str, float]:
         """Those of `complete` that `tms_fit.least_squares.prediction.predictor` must be told."""
-        return {name: value for name, value in self.complete.items() if name in NONLINEAR}
+        return shaping(self.complete)
 
     @property
     def std(self) -> Array:

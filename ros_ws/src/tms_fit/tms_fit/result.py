@@ -34,6 +34,7 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
             "resistance": fit.settings.resistance,
             "channels": list(fit.settings.channels),
             "noise": fit.settings.noise,
+            "oscillator": list(fit.settings.oscillator),
             "loss": fit.settings.loss,
             "gyroscope_range": fit.settings.gyroscope_range,
             "saturation": fit.settings.saturation,
@@ -104,6 +105,8 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
         "aic": estimate.aic,
         "bic": estimate.bic,
         "noise": {"model": estimate.noise_model, **estimate.noise},
+        "loss": estimate.loss,
+        "chosen": list(estimate.chosen),
         "correlation": estimate.correlation.tolist() if estimate.names else [],
         "residual_autocorrelation": estimate.residual_autocorrelation,
     }

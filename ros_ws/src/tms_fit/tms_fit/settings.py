@@ -19,19 +19,21 @@ BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in thi
 CHANNELS = ("lean_rate", "yaw_rate")
 SLIP = "slip_yaw_rate"  # [rad/s] at the start, falling to zero in a straight line over the slip window
 LINEAR = (*INITIAL, *BIASES, SLIP)
+FRICTION = "steer_coulomb_friction"  # [N m] against the turning of the steering, whatever its rate
 NONLINEAR = (
     "speed",  # [m/s] at the start of the free response
     "rolling_resistance",  # C_r [-]: the speed falls by C_r g m / m_eff per second
     "strike_time",  # [s] start of the free response, from the window's first sample on; not positive
     "lean_rate_gain",  # [N m s/rad] steer torque per lean rate, by a controller
     "mounting_pitch",  # [rad] of the sensor, nose up: leaks lean rate into its yaw rate
+    FRICTION,  # with it, the response isn't linear in INITIAL either
 )
 PARAMETERS = (*LINEAR, *NONLINEAR)
 DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
 
 STEER_TORQUES = ("auto", "feedback", "input", "ignore")
 SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
-NOISE_MODELS = ("auto", "white", "ar")
+NOISE_MODELS = ("auto", "white", "ar", "oscillator")
 SATURATIONS = ("drop", "censor", "use")
 SLIPS = ("leave_out", "yaw_offset")
 INTERVALS = ("wald", "profile", "bootstrap")
@@ -58,7 +60,8 @@ class FitSettings:
     resistance: Resistance = "rolling"  # by what a speed that changes is changed, of RESISTANCES
     channels: tuple[str, ...] = CHANNELS  # compared with the model
     noise: str = "auto"  # of NOISE_MODELS; auto: white, unless residuals are alike
-    loss: str = "squares"  # how much a residual counts, of LOSSES
+    oscillator: tuple[float, ...] = ()  # its frequency [Hz], decay time [s], deviation [rad/s]: what is known
+    loss: str = "auto"  # how much a residual counts, of LOSSES; auto: squares, unless there are outliers
     gyroscope_range: float | None = None  # [rad/s], at which a reading is saturated; None: only flags say so
     saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
     slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
@@ -93,6 +96,8 @@ class FitSettings:
             if not math.isfinite(value) or (name == "speed" and value <= 0.0):
                 wanted = "a positive number of m/s" if name == "speed" else "a finite number"
                 raise ParameterError(f"{name}: expected {wanted}, found {value:g}")
+        if self.fixed.get(FRICTION, 0.0) < 0.0:
+            raise ParameterError(f"{FRICTION}: expected 0 N m or more, found {self.fixed[FRICTION]:g}")
         if not 0.3 <= self.window <= 60.0:
             raise ParameterError(f"window: expected 0.3 to 60 s, found {self.window:g}")
         if not 0.0 <= self.slip_window < self.window:
@@ -101,6 +106,7 @@ class FitSettings:
                 f" {self.slip_window:g}"
             )
         self._check_saturation()
+        self._check_oscillator()
         if not (math.isfinite(self.gyroscope_noise) and self.gyroscope_noise > 0.0):
             raise ParameterError(
                 f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"
@@ -112,10 +118,24 @@ class FitSettings:
             raise ParameterError(
                 f"gyroscope range: expected a positive number of rad/s, found {self.gyroscope_range:g}"
             )
-        if self.saturation == "censor" and (self.noise == "ar" or self.loss != "squares"):
+        coloured = self.noise not in ("auto", "white")
+        if self.saturation == "censor" and (coloured or self.loss not in ("auto", "squares")):
             raise ParameterError(
                 f"saturation: censor goes with white noise and squares, found noise {self.noise} and loss"
                 f" {self.loss}; use drop"
+            )
+
+    def _check_oscillator(self) -> None:
+        """What is known of it: one to three positive numbers, where it may be chosen."""
+        if not self.oscillator:
+            return
+        if self.noise not in ("auto", "oscillator"):
+            raise ParameterError(f"oscillator: expected noise oscillator or auto, found {self.noise}")
+        if len(self.oscillator) > 3 or not all(math.isfinite(one) and one > 0.0 for one in self.oscillator):
+            found = ",".join(f"{one:g}" for one in self.oscillator)
+            raise ParameterError(
+                "oscillator: expected a frequency [Hz], then a decay time [s], then a deviation [rad/s], each"
+                f" positive, found {found}"
             )
 
     def _check_free(self) -> None:
@@ -136,6 +156,14 @@ class FitSettings:
                     f"prior: {name}: expected a finite mean and a positive standard deviation, found"
                     f" {mean:g} and {std:g}"
                 )
+
+
+def shaping(values: Mapping[str, float], names: Iterable[str] = ()) -> dict[str, float]:
+    """Those of some values that a response isn't linear in, beside others that are given by name only."""
+    rubbing = FRICTION in values or FRICTION in names
+    return {
+        name: value for name, value in values.items() if name in NONLINEAR or (rubbing and name in INITIAL)
+    }
 
 
 def check_known(names: Iterable[str], expected: Iterable[str], what: str) -> None:

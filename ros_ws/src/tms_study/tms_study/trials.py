@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from tms_fit.least_squares.prediction import predictor
-from tms_fit.settings import NONLINEAR
+from tms_fit.settings import shaping
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle
@@ -28,8 +28,7 @@ def truth(values: Mapping[str, float] | None = None, duration: float = DURATION)
     nothing = np.zeros(len(time))
     window = Window(0, time, nothing, nothing, load_bicycle(BICYCLE), constant_speed(SPEED))
     given = {"initial_lean_rate": LEAN_RATE, **(values or {})}
-    nonlinear = {name: value for name, value in given.items() if name in NONLINEAR}
-    return with_rates(window, predictor(window, nonlinear).predict(given))
+    return with_rates(window, predictor(window, shaping(given)).predict(given))
 
 
 def with_rates(window: Window, rates: Array) -> Window:

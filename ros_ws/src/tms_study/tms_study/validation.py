@@ -30,6 +30,7 @@ from tms_study.bound import Experiment, bound
 from tms_study.findings import Finding
 
 SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore", estimators=("least_squares",))
+SQUARES = replace(SETTINGS, noise="white", loss="squares")  # what the batch does
 INDEX = DEFAULT_FREE.index("initial_lean_rate")
 
 
@@ -65,7 +66,7 @@ def _white(rng: np.random.Generator, runs: int) -> list[Finding]:
     std = np.sqrt(variance * (solver @ solver.T)[INDEX, INDEX])
     error = values[:, INDEX] - trials.LEAN_RATE
     own = [
-        fit_window(trials.with_rates(window, one.reshape(-1, 2)), SETTINGS)
+        fit_window(trials.with_rates(window, one.reshape(-1, 2)), SQUARES)
         for one in measured[: min(20, runs)]
     ]
     apart = max(abs(one.values[INDEX] - values[k, INDEX]) / one.std[INDEX] for k, one in enumerate(own))
@@ -131,11 +132,11 @@ def _spoilt(rng: np.random.Generator, runs: int) -> list[Finding]:
     window = trials.truth()
     least, found = _least(window), []
     cases = {
-        "2 % outliers, Huber": (trials.outliers(rng, window.time, runs), 1.1, "huber"),
-        "20 % packet loss": (trials.lossy(rng, window.time, runs), 1.02 / math.sqrt(0.8), "squares"),
+        "2 % outliers": (trials.outliers(rng, window.time, runs), 1.1),
+        "20 % packet loss": (trials.lossy(rng, window.time, runs), 1.02 / math.sqrt(0.8)),
     }
-    for topic, (noise, aim, loss) in cases.items():
-        error, _ = _fits(window, noise, replace(SETTINGS, loss=loss))
+    for topic, (noise, aim) in cases.items():
+        error, _ = _fits(window, noise)
         share = float(np.std(error)) / least
         found.append(
             Finding(topic, "sd / bound of the whole run", share, 0.9, aim, runs, share / math.sqrt(runs / 2))

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.answer import COLOURED
+from tms_fit.least_squares.noise.autoregressive import remembers
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 
@@ -40,8 +41,7 @@ class Doubt:
 
 def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:
     """What the residuals of an estimate make doubtful; None where neighbouring ones are not alike."""
-    coloured = estimate.noise_model == "ar" or estimate.residual_autocorrelation > COLOURED
-    if estimate.status != "ok" or not coloured or settings.noise == "ar":
+    if estimate.status != "ok" or not remembers(_unexplained(estimate)):
         return None
     start = "doubtful: neighbouring residuals are alike, and the interval doesn't cover a wrong model"
     narrow = _with((), window, settings, estimate)
@@ -55,6 +55,11 @@ def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | 
         if falls and best.bic < narrow.bic - LEAST_BIC:
             return Doubt(name, f"{start}; {_in_words(name, narrow, best)}; --hypotheses tests more")
     return Doubt("", f"{start}; no single unknown more explains it; --hypotheses tests more")
+
+
+def _unexplained(estimate: Estimate) -> Array:
+    """Residuals (n, 2), whatever the noise model; an oscillation beyond the bicycle's own is explained."""
+    return estimate.whitened if estimate.noise_model == "oscillator" else estimate.residual
 
 
 def _candidates(window: Window, settings: FitSettings, estimate: Estimate) -> list[str]:
@@ -73,7 +78,7 @@ def _with(
     names: tuple[str, ...], window: Window, settings: FitSettings, estimate: Estimate
 ) -> Estimate | None:
     """The fit with more unknowns under white noise; None where it gives no answer."""
-    fit = fit_window(window, replace(settings, free=(*estimate.names, *names), noise="white"))
+    fit = fit_window(window, replace(settings, free=(*estimate.names, *names), noise="white", oscillator=()))
     return fit if fit.status == "ok" else None
 
 

@@ -19,6 +19,7 @@ from tms_model import Bicycle
 from tms_fit.criticism.residuals import SURE, probability
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.choices import choose
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
@@ -48,7 +49,11 @@ class Verdict:
 
 
 def verdicts(window: Window, settings: FitSettings) -> tuple[Verdict, ...]:
-    """All hypotheses about one window; those whose parameter is free or fixed already are left out."""
+    """All hypotheses about one window; those whose parameter is free or fixed already are left out.
+
+    What the data alone would free is tested here, so it isn't freed beforehand.
+    """
+    settings = replace(settings, free=choose(window, settings).free)
     narrow = fit_window(window, settings)
     if not narrow.names:
         return ()

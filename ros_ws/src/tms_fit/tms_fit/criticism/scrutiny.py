@@ -38,6 +38,8 @@ def scrutiny_lines(fit: StrikeFit, settings: FitSettings, asked: Collection[str]
     lines: list[str] = []
     if fit.window is None:
         return lines
+    if fit.estimates[0].chosen:
+        lines.append(f"chosen: {'; '.join(fit.estimates[0].chosen)}")
     about = _doubt_of(fit, settings)
     if about:
         lines.append(about.sentence)

@@ -24,25 +24,32 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
 from tms_fit.estimate import Estimate
-from tms_fit.estimators.least_squares import fit_choice
+from tms_fit.estimators.least_squares import decide, fit_choice
 from tms_fit.least_squares.answer import in_order, variance_accounted_for
 from tms_fit.least_squares.choices import choose
 from tms_fit.least_squares.motion import Motion, motion
 from tms_fit.least_squares.projection import Problem
-from tms_fit.settings import BIASES, INITIAL, NONLINEAR, SLIP, FitSettings
+from tms_fit.settings import BIASES, FRICTION, INITIAL, NONLINEAR, SLIP, FitSettings
 from tms_fit.window import Window
 
 PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give
 
 
 def estimate(window: Window, settings: FitSettings) -> Estimate:
-    """Smoothed initial state and biases; for NONLINEAR parameters the values of least squares."""
-    settings = replace(settings, noise="white", loss="squares", saturation="drop")
-    choice = choose(window, settings)
-    if not choice.problem.linear or choice.problem.priors or SLIP in choice.free:
+    """Smoothed initial state and biases; for NONLINEAR parameters the values of least squares.
+
+    What the settings leave open is decided as for `least_squares`.
+    """
+    decided, _ = decide(window, settings)
+    settings = replace(
+        settings, free=decided.free, noise="white", oscillator=(), loss="squares", saturation="drop"
+    )
+    choice = replace(choose(window, settings), words=decided.words, reasons=decided.reasons)
+    rubbing = FRICTION in {*choice.free, *settings.fixed}
+    if not choice.problem.linear or choice.problem.priors or SLIP in choice.free or rubbing:
         return replace(
             fit_choice("kalman_rts", choice, settings),
-            message="priors, slip, or no linear parameter: least squares instead of a smoother",
+            message="priors, slip, friction, or no linear parameter: least squares instead of a smoother",
         )
     squares = fit_choice("kalman_rts", choice, settings)
     if squares.status != "ok":

@@ -12,12 +12,13 @@ from dataclasses import replace
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.alternation import fit_problem
 from tms_fit.least_squares.answer import answer, in_order, too_short
-from tms_fit.least_squares.choices import Choice, choose, decelerating
+from tms_fit.least_squares.choices import Choice, choose, decelerating, unsteady
 from tms_fit.least_squares.losses import Loss
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 
-CERTAIN = 20.0  # by which a falling speed must lower BIC to be believed where none was measured
+OF = "initial_lean_rate"
+CERTAIN = 20.0  # by which what nobody asked for must lower BIC to be believed
 
 
 def fit_window(window: Window, settings: FitSettings) -> Estimate:
@@ -25,14 +26,55 @@ def fit_window(window: Window, settings: FitSettings) -> Estimate:
 
     Never raises for what a recording holds: an answer that can't be given is one with another status.
     """
+    choice, estimate = decide(window, settings)
+    return in_order(estimate, choice.free)
+
+
+def decide(window: Window, settings: FitSettings) -> tuple[Choice, Estimate]:
+    """What is to be found, where `settings` leave it open, and the estimate of it."""
     choice = choose(window, settings)
     estimate = fit_choice("least_squares", choice, settings)
     falling = decelerating(choice, settings)
     if falling is not None and estimate.status == "ok":
         other = fit_choice("least_squares", falling, settings)
         if other.status == "ok" and other.bic < estimate.bic - CERTAIN:
-            return in_order(other, falling.free)
-    return in_order(estimate, choice.free)
+            choice, estimate = falling, other
+    if estimate.status == "ok" and estimate.noise_model != "white":
+        return _unsteady(choice, estimate, settings)
+    return choice, estimate
+
+
+def _unsteady(choice: Choice, estimate: Estimate, settings: FitSettings) -> tuple[Choice, Estimate]:
+    """A start that is not upright and straight, if residuals that are alike speak for it beyond doubt.
+
+    All hypotheses are compared under autoregressive noise, which the narrowest might need as well. The widest
+    must first win under white noise, which is quickly seen and favours it.
+    """
+    rivals = unsteady(choice, settings)
+    if not rivals or not _bic(rivals[-1], "white", settings) < _bic(choice, "white", settings) - CERTAIN:
+        return choice, estimate
+    least = _bic(choice, "ar", settings) - CERTAIN
+    found: Choice | None = None
+    for rival in rivals:
+        bic = _bic(rival, "ar", settings)
+        if bic < least:
+            found, least = rival, bic
+    if found is None:
+        return choice, estimate
+    answer = fit_choice("least_squares", found, settings)
+    if answer.status != "ok":
+        return choice, estimate
+    if OF in estimate.names:
+        *before, why = found.reasons
+        why += f"; else the initial lean rate would be {estimate.parameters[OF]:+.3f} rad/s"
+        answer = replace(answer, chosen=(*before, why, *answer.chosen[len(found.reasons) :]))
+    return found, answer
+
+
+def _bic(choice: Choice, noise: str, settings: FitSettings) -> float:
+    """BIC under a noise model, infinite where there is no answer."""
+    found = fit_choice("least_squares", replace(choice, noise=noise), settings)
+    return found.bic if found.status == "ok" else math.inf
 
 
 def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
@@ -40,7 +82,7 @@ def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
     reason = too_short(choice.problem)
     if reason:
         return Estimate(name, "too_short", reason, settings=settings)
-    fitted = fit_problem(choice.problem, choice.noise, Loss(settings.loss))
+    fitted = fit_problem(choice.problem, choice.noise, Loss(settings.loss), settings.oscillator)
     return answer(name, choice, fitted, settings)
 
 

@@ -28,6 +28,7 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
         channels=("lean_rate",),
         speed_model="constant",
         noise="white",
+        oscillator=(),
         loss="squares",
     )
     answer = fit_choice("som2011", choose(constant, plain), plain)

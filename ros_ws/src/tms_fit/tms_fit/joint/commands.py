@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from tms_model import ParameterError, load_bicycle
 from tms_model.command_line import print_json
 from tms_model.measured import Measured
 
-from tms_fit.arguments import assignment, names
+from tms_fit.arguments import assignment, each_once, names, prior
 from tms_fit.joint.calibration import Calibration, calibrate
 from tms_fit.joint.calibration_file import sources_of, write_calibration
 from tms_fit.joint.calibration_result import Judged, calibration_json, calibration_table, judge
@@ -89,7 +88,7 @@ def add_arguments(commands: Any) -> None:
         "--prior",
         action="append",
         default=[],
-        type=_prior,
+        type=prior,
         metavar="NAME=MEAN,STD",
         help="what is known without these bags (default: the bicycle's standard deviations, else 20 %%)",
     )
@@ -107,7 +106,7 @@ def print_together(arguments: argparse.Namespace) -> None:
         free = tuple(dict.fromkeys(free))
     fits = _fits(arguments, free)
     strikes = _chosen(fits, arguments.near)
-    fit = fit_together(strikes, arguments.share, dict(arguments.fix), arguments.method)
+    fit = fit_together(strikes, arguments.share, each_once(arguments.fix, "--fix"), arguments.method)
     if arguments.json:
         print_json(together_json(fit, fits))
     else:
@@ -125,7 +124,10 @@ def print_calibration(arguments: argparse.Namespace, words: Sequence[str]) -> No
         raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
-    calibration = calibrate(fits[0].bicycle, runs, arguments.free, dict(arguments.prior))
+    priors = {
+        name: Measured(mean, std) for name, (mean, std) in each_once(arguments.prior, "--prior").items()
+    }
+    calibration = calibrate(fits[0].bicycle, runs, arguments.free, priors)
     judged = judge(calibration, strikes)
     parent = arguments.bicycle or fits[0].bicycle.name
     command = shlex.join(["tms", "fit", *words])
@@ -158,7 +160,7 @@ def _fits(arguments: argparse.Namespace, free: tuple[str, ...] | None) -> list[R
         raise ParameterError("bags: expected each once, found one twice: its strikes would count double")
     settings = FitSettings(
         free=free,
-        fixed=dict(arguments.fix),
+        fixed=each_once(arguments.fix, "--fix"),
         window=arguments.window,
         speed_model=arguments.speed_model,
         steer_torque=arguments.steer_torque,
@@ -199,14 +201,3 @@ def _times(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected times in seconds, found {text!r}") from None
-
-
-def _prior(text: str) -> tuple[str, Measured]:
-    name, equals, numbers = text.partition("=")
-    mean, comma, std = numbers.partition(",")
-    try:
-        if equals and comma and math.isfinite(float(mean)) and 0.0 < float(std) < math.inf:
-            return name.strip(), Measured(float(mean), float(std))
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with STD positive, found {text!r}")

@@ -23,11 +23,12 @@ from tms_fit.joint.free_responses import (
 )
 from tms_fit.joint.heterogeneity import RandomEffects, random_effects
 from tms_fit.offline import RecordingFit, first_stamp
-from tms_fit.settings import BIASES, LINEAR, NONLINEAR, check_known
+from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, check_known
 from tms_fit.speed_curve import SpeedCurve
 from tms_fit.window import Window
 
-SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name != "strike_time"), *BICYCLE_NUMBERS)
+ALONE = ("strike_time", FRICTION)  # in a fit of one run only
+SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name not in ALONE), *BICYCLE_NUMBERS)
 DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
 
 
@@ -106,8 +107,11 @@ def fit_together(
     if len(set(share)) < len(share):
         raise ParameterError(f"share: expected each name once, found {', '.join(share)}")
     good, left_out = usable(strikes)
-    if any("strike_time" in one.alone.names for one in good):
-        raise ParameterError("free: strike_time: expected in fit run only, where a joint fit takes it from")
+    for name in ALONE:
+        if any(name in one.alone.names for one in good):
+            raise ParameterError(f"free: {name}: expected in fit run only, where a joint fit takes it from")
+    if FRICTION in (known or {}):
+        raise ParameterError(f"fix: {FRICTION}: expected in fit run only")
     runs = tuple(
         Run(
             one.window,

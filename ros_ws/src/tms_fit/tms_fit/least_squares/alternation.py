@@ -10,15 +10,17 @@ import numpy as np
 from tms_model.bicycle import Array
 
 from tms_fit.least_squares import censoring
-from tms_fit.least_squares.losses import Loss, scale
-from tms_fit.least_squares.noise import NOISES, Noise
-from tms_fit.least_squares.noise.autoregressive import Autoregressive, remembers
+from tms_fit.least_squares.losses import Loss, outlier_count, scale
+from tms_fit.least_squares.noise import NOISES, Noise, oscillator
+from tms_fit.least_squares.noise.autoregressive import remembers
+from tms_fit.least_squares.noise.coloured import Coloured
 from tms_fit.least_squares.noise.white import White
 from tms_fit.least_squares.prediction import derivative
 from tms_fit.least_squares.projection import Problem, Rows, Solution, solve
-from tms_fit.settings import NONLINEAR
+from tms_fit.settings import shaping
 
 ROUNDS = 60  # at most
+FINEST = 1e-7  # of the largest rate: residuals below that are rounding
 SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
 
 
@@ -28,23 +30,36 @@ class Fitted:
 
     solution: Solution  # its inverse is the covariance
     noise: Noise
-    noise_model: str
+    noise_model: str  # of NOISES
+    loss: str  # of LOSSES, not auto
+    outliers: int = 0  # for which a loss was chosen that they can't pull
 
 
-def fit_problem(problem: Problem, noise_model: str, loss: Loss) -> Fitted:
-    """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured."""
-    window, known = problem.window, noise_model
+def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[float, ...] = ()) -> Fitted:
+    """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured.
+
+    A loss 'auto' is that of least squares, unless the residuals hold outliers, then Huber's. stated:
+    frequency, decay time and size of an oscillator, as many as are known.
+    """
+    window, known, outliers = problem.window, noise_model, 0
     plain = solution = solve(problem, _first_rows(problem))
     noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
     limits = _limits(problem)
+    judged = limits is None and _judged(problem, solution)
+    if loss.name == "auto":
+        if judged:
+            outliers = outlier_count(window.measured - problem.predicted(solution.values))
+        loss = Loss("huber" if outliers else "squares")
     for _ in range(ROUNDS):
         if solution.status == "not_observable":
             break
         residual = problem.window.measured - problem.predicted(solution.values)
         fitted = _fitted(problem, solution)
-        if known == "auto":
-            known = "white" if limits is not None else _colour(residual)
-        noise = _noise(known, loss, problem, residual, fitted, limits)
+        if known == "auto" and judged and remembers(residual):
+            known, noise = _likelier(problem, residual, fitted, stated)
+        else:
+            known = "white" if known == "auto" else known
+            noise = _noise(known, loss, problem, residual, fitted, limits, stated)
         if limits is not None:
             rows = _weighted_by(np.sqrt(limits.information(problem, solution, noise)), noise.rows)
             problem = limits.replaced(problem, solution, noise)
@@ -60,7 +75,16 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss) -> Fitted:
         # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
         # explain most of the measurement.
         solution = replace(solution, values=plain.values)
-    return Fitted(solution, noise, known)
+    return Fitted(solution, noise, known, loss.name, outliers)
+
+
+def _judged(problem: Problem, solution: Solution) -> bool:
+    """Whether residuals are more than rounding, so that they say something about the noise."""
+    if solution.status == "not_observable":
+        return False
+    measured = problem.window.measured
+    largest = np.nanmax(np.abs(measured - problem.predicted(solution.values)), initial=0.0)
+    return bool(largest > FINEST * np.nanmax(np.abs(measured), initial=0.0))
 
 
 def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
@@ -76,11 +100,19 @@ def _first_rows(problem: Problem) -> Rows:
 
 
 def _noise(
-    name: str, loss: Loss, problem: Problem, residual: Array, fitted: Array, limits: _Limits | None
+    name: str,
+    loss: Loss,
+    problem: Problem,
+    residual: Array,
+    fitted: Array,
+    limits: _Limits | None,
+    stated: tuple[float, ...],
 ) -> Noise:
     if name == "white" and loss.name != "squares":
         good = np.isfinite(residual)
         return White(good, scale(residual[good], fitted.shape[2]))
+    if name == "oscillator" and stated:
+        return oscillator.fit(problem.window.time, residual, fitted, stated)
     noise = NOISES[name](problem.window.time, residual, fitted)
     if limits is not None and isinstance(noise, White):
         return White(noise.good, limits.std(problem, residual, fitted.shape[2], noise.std))
@@ -107,7 +139,7 @@ def _with_covariance(
 ) -> Solution:
     """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
     residual = problem.window.measured - problem.predicted(solution.values)
-    if isinstance(noise, Autoregressive) and loss.name == "squares":
+    if isinstance(noise, Coloured) and loss.name == "squares":
         return _averaged(problem, solution, noise, residual)
     rows = noise.rows(solution.channels)
     jacobian = solution.jacobian.copy()
@@ -121,16 +153,28 @@ def _with_covariance(
     return replace(plain, covariance=loss.inflation(noise.rows(residual), len(problem.names)) * plain.of_rows)
 
 
-def _averaged(problem: Problem, solution: Solution, noise: Autoregressive, residual: Array) -> Solution:
+def _averaged(problem: Problem, solution: Solution, noise: Coloured, residual: Array) -> Solution:
     """Parameters and covariance averaged over what coloured noise may be."""
     priors = solution.jacobian[len(noise.rows(residual)) :]
     shift, covariance = noise.average(residual, solution.channels, priors.T @ priors)
     return replace(solution, values=solution.values + shift, covariance=covariance)
 
 
-def _colour(residual: Array) -> str:
-    """'ar' if the residuals of least squares remember anything, else 'white'."""
-    return "ar" if remembers(residual) else "white"
+def _likelier(
+    problem: Problem, residual: Array, fitted: Array, stated: tuple[float, ...]
+) -> tuple[str, Noise]:
+    """Autoregressive noise or noise that oscillates, whichever has the lower BIC, by name."""
+    time, count = problem.window.time, int(np.isfinite(residual).sum())
+
+    def bic(noise: Noise) -> float:
+        rows = noise.rows(residual)
+        return float(rows @ rows) + noise.log_determinant + len(noise.parameters) * math.log(count)
+
+    rivals: dict[str, Noise] = {
+        "ar": NOISES["ar"](time, residual, fitted),
+        "oscillator": oscillator.fit(time, residual, fitted, stated),
+    }
+    return min(rivals.items(), key=lambda one: bic(one[1]))
 
 
 def _fitted(problem: Problem, solution: Solution) -> Array:
@@ -138,8 +182,7 @@ def _fitted(problem: Problem, solution: Solution) -> Array:
     if not problem.window.delay_std or "strike_time" in {*problem.names, *problem.known}:
         return solution.channels
     values = problem.values(solution.values)
-    nonlinear = {name: value for name, value in values.items() if name in NONLINEAR}
-    by_start = derivative(problem.window, nonlinear, "strike_time").predict(values)
+    by_start = derivative(problem.window, shaping(values), "strike_time").predict(values)
     return np.concatenate([solution.channels, by_start[:, :, None]], axis=2)
 
 

@@ -65,6 +65,8 @@ def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> 
         jacobian=solution.channels,
         noise=noise.parameters,
         noise_model=fitted.noise_model,
+        loss=fitted.loss,
+        chosen=(*choice.reasons, *_reasons(fitted, settings)),
         log_likelihood=_log_likelihood(noise, window, predicted),
         unknown_count=len(problem.names) + len(noise.parameters),
         settings=settings,
@@ -160,19 +162,42 @@ def _in_words(choice: Choice, fitted: Fitted, settings: FitSettings, autocorrela
     """What was done, and what deserves distrust."""
     window = choice.problem.window
     method = "least squares" if choice.problem.nonlinear else "linear least squares"
-    if settings.loss != "squares":
-        method = {"huber": "Huber's loss", "student_t": "Student's t loss"}[settings.loss]
+    if fitted.loss != "squares":
+        method = {"huber": "Huber's loss", "student_t": "Student's t loss"}[fitted.loss]
     used = " and ".join(_measured_channels(window))
     text = f"{method} on {used} over {window.time[-1]:.2f} s{choice.words}"
-    if fitted.noise_model == "ar":
-        why = "neighbouring residuals are alike, so " if settings.noise == "auto" else ""
-        text += f"; {why}the noise is taken as autoregressive, and the interval with it"
-    elif autocorrelation > COLOURED:
+    told = _reasons(fitted, settings)
+    if fitted.noise_model != "white" and settings.noise != "auto":
+        told = (*told, f"the noise is taken as {_kind(fitted)}, and the interval with it")
+    text = "; ".join((text, *told))
+    if fitted.noise_model == "white" and autocorrelation > COLOURED:
         text += (
             f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
             " something and the interval is too narrow"
         )
     return text
+
+
+def _reasons(fitted: Fitted, settings: FitSettings) -> tuple[str, ...]:
+    """What the residuals decided about loss and noise."""
+    told = []
+    if fitted.outliers:
+        few = "1 sample stands" if fitted.outliers == 1 else f"{fitted.outliers} samples stand"
+        told.append(f"{few} apart from the neighbours, so outliers count less")
+    if fitted.noise_model != "white" and settings.noise == "auto":
+        told.append(
+            f"neighbouring residuals are alike, so the noise is taken as {_kind(fitted)}, and the interval"
+            " with it"
+        )
+    return tuple(told)
+
+
+def _kind(fitted: Fitted) -> str:
+    if fitted.noise_model == "ar":
+        return "autoregressive"
+    noise = fitted.noise.parameters
+    found = [f"{value:.1f} Hz" for name, value in noise.items() if name.endswith("_frequency")]
+    return f"white with an oscillation of {' and '.join(found)}" if found else "white, no oscillation found"
 
 
 def _measured_channels(window: Window) -> list[str]:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tms_fit.least_squares.projection import Problem
-from tms_fit.settings import BIASES, DEFAULT_FREE, LINEAR, SLIP, FitSettings
+from tms_fit.settings import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP, FitSettings
 from tms_fit.window import Window, with_channels, without_saturated
 
 LONG = 2.0  # [s] window from which on a falling speed shows in the rates alone
+UNSTEADY = (("initial_steer_rate",), ("initial_steer_rate", "initial_lean", "initial_steer"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,7 @@ class Choice:
     free: tuple[str, ...]  # in the order asked for
     noise: str  # noise model of NOISES, or 'auto'
     words: str  # for the message: empty, or beginning with a comma
+    reasons: tuple[str, ...] = ()  # of what the data decided, a phrase each
 
 
 def choose(window: Window, settings: FitSettings) -> Choice:
@@ -53,19 +55,54 @@ def decelerating(choice: Choice, settings: FitSettings) -> Choice | None:
     if {"speed", "rolling_resistance"} & {*settings.fixed, *choice.free}:
         return None
     free = (*choice.free, "speed", "rolling_resistance")
-    words = choice.words + ", speed and rolling resistance found because a constant speed is far less likely"
+    why = "speed and rolling resistance found because a constant speed is far less likely"
+    return _more(choice, free, why, settings)
+
+
+def unsteady(choice: Choice, settings: FitSettings) -> list[Choice]:
+    """The same with a steer rate at the start, and lean and steer beside it, if nobody said what is free.
+
+    A strike that also kicks the steering, or ends before the wheels roll again, leaves the bicycle so.
+    """
+    if settings.free is not None:
+        return []
+    taken = {*settings.fixed, *choice.free}
+    rivals: list[Choice] = []
+    for names in UNSTEADY:
+        more = tuple(name for name in names if name not in taken)
+        free = (*choice.free, *more)
+        if not more or (rivals and rivals[-1].free == free):
+            continue
+        why = f"{_listed(more)} found because a start without is far less likely"
+        rivals.append(_more(choice, free, why, settings))
+    return rivals
+
+
+def _more(choice: Choice, free: tuple[str, ...], why: str, settings: FitSettings) -> Choice:
+    """The choice with more free, for a reason."""
     return replace(
-        choice, problem=_problem(window, free, dict(settings.fixed), settings), free=free, words=words
+        choice,
+        problem=_problem(choice.problem.window, free, dict(settings.fixed), settings),
+        free=free,
+        words=f"{choice.words}, {why}",
+        reasons=(*choice.reasons, why),
     )
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    words = [name.replace("_", " ") for name in names]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _problem(
     window: Window, free: tuple[str, ...], known: dict[str, float], settings: FitSettings
 ) -> Problem:
+    rubbing = FRICTION in {*free, *known}
+    linear = tuple(name for name in free if name in LINEAR and not (rubbing and name in INITIAL))
     return Problem(
         window=window,
-        linear=tuple(name for name in free if name in LINEAR),
-        nonlinear=tuple(name for name in free if name not in LINEAR),
+        linear=linear,
+        nonlinear=tuple(name for name in free if name not in linear),
         known=known,
         priors={name: prior for name, prior in settings.priors.items() if name in free},
     )

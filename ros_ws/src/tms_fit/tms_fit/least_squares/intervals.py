@@ -99,9 +99,11 @@ def bootstrap(window: Window, estimate: Estimate, settings: FitSettings, rng: np
 
 def _again(window: Window, estimate: Estimate, settings: FitSettings) -> tuple[Problem, Fitted]:
     """The problem of an estimate, and its solution under the noise that was found."""
-    asked = replace(settings, free=estimate.names, noise=estimate.noise_model)
+    asked = replace(settings, free=estimate.names, noise=estimate.noise_model, loss=estimate.loss)
+    if asked.noise != "oscillator":
+        asked = replace(asked, oscillator=())
     problem = choose(window, asked).problem
-    return problem, fit_problem(problem, asked.noise, Loss(asked.loss))
+    return problem, fit_problem(problem, asked.noise, Loss(asked.loss), asked.oscillator)
 
 
 def _distance(problem: Problem, fitted: Fitted, name: str, value: float) -> Callable[[float], float]:

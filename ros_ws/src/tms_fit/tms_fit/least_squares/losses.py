@@ -17,6 +17,8 @@ from tms_model.bicycle import Array
 
 HUBER = 1.345  # standard deviations from which on a residual counts less: 95 % efficient on Gaussian noise
 DEGREES = 4.0  # of freedom of Student's t
+APART = 0.685  # median of |u less the median of five|, where that isn't zero, for Gaussian white noise
+LEAST_JUDGED = 20  # samples of a channel; fewer show no outliers
 MAD = 0.6744897501960817  # median of |u| for Gaussian noise of deviation one
 
 
@@ -54,7 +56,31 @@ class Loss:
         return correction**2 * float(np.sum(self.psi(u) ** 2)) / max(len(u) - unknowns, 1) / slope**2
 
 
-LOSSES = ("squares", "huber", "student_t")
+LOSSES = ("auto", "squares", "huber", "student_t")  # auto: squares, unless there are outliers
+OUTLIER = 5.0  # standard deviations from the median of its neighbours, at which a sample is one
+NEIGHBOURS = 2  # on either side
+
+
+def outlier_count(residual: Array) -> int:
+    """How many residuals (n, 2), NaN where nothing was measured, stand apart from their neighbours.
+
+    Hampel's identifier on what a residual differs from the median of five: what neighbours share, a wrong
+    model or coloured noise, is no outlier. F. R. Hampel, J. Am. Stat. Assoc. 69 (1974), doi
+    10.1080/01621459.1974.10482962.
+    """
+    count = 0
+    for channel in residual.T:
+        values = channel[np.isfinite(channel)]
+        if len(values) < LEAST_JUDGED:
+            continue
+        around = np.lib.stride_tricks.sliding_window_view(
+            np.pad(values, NEIGHBOURS, mode="reflect"), 2 * NEIGHBOURS + 1
+        )
+        apart = np.abs(values - np.median(around, axis=1))
+        # A sample is often its own median: the others tell how far they stand apart.
+        size = float(np.median(apart[apart > 0.0])) if apart.any() else 0.0
+        count += int(np.count_nonzero(apart > OUTLIER * size / APART))
+    return count
 
 
 def scale(residual: Array, unknowns: int) -> float:

@@ -15,7 +15,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.least_squares.prediction import Predictor, derivative, predictor
 from tms_fit.least_squares.projection import Problem, Rows, Solution
-from tms_fit.settings import NONLINEAR
+from tms_fit.settings import shaping
 from tms_fit.speed_curve import SpeedCurve
 from tms_fit.window import Window
 
@@ -73,5 +73,4 @@ def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) 
 
 
 def _nonlinear(problem: Problem, solution: Solution) -> dict[str, float]:
-    values = problem.values(solution.values)
-    return {name: value for name, value in values.items() if name in NONLINEAR}
+    return shaping(problem.values(solution.values))

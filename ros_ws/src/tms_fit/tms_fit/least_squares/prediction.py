@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
 from tms_fit.estimate import Estimate
+from tms_fit.least_squares.friction import rubbed_states
 from tms_fit.least_squares.motion import Motion, known_values, motion
-from tms_fit.settings import BIASES, INITIAL, LINEAR, SLIP
+from tms_fit.settings import BIASES, FRICTION, INITIAL, LINEAR, SLIP
 from tms_fit.window import Window
 
 STEPS = {  # of the differences; the speed's is per m/s
@@ -25,12 +27,17 @@ STEPS = {  # of the differences; the speed's is per m/s
     "strike_time": 1e-5,
     "lean_rate_gain": 1e-5,
     "mounting_pitch": 1e-5,
+    FRICTION: 1e-4,
+    **dict.fromkeys(INITIAL, 1e-4),  # with friction only
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Channels of a window as `columns @ parameters + forced`, parameters in the order of LINEAR."""
+    """Channels of a window as `columns @ parameters + forced`, parameters in the order of LINEAR.
+
+    With Coulomb friction the initial state shapes the response: its columns are zero, all is in `forced`.
+    """
 
     columns: Array  # (n, 2, 7)
     forced: Array  # (n, 2) [rad/s], by the known steer torque
@@ -49,13 +56,23 @@ class Predictor:
 def predictor(window: Window, nonlinear: Mapping[str, float] | None = None) -> Predictor:
     """Predictor of a window for nonlinear parameters by name; those left out are as the window has them.
 
+    With `steer_coulomb_friction` the initial state is among them (`tms_fit.settings.shaping`), 0 if left out.
+
     Raises ParameterError as `tms_fit.least_squares.motion.motion` does.
     """
-    values = nonlinear or {}
-    moved = motion(window, values)
+    return _predictor(window, tuple(sorted((nonlinear or {}).items())))
+
+
+@lru_cache(maxsize=32)  # rival noise models and hypotheses ask for the same again and again
+def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Predictor:
+    values = dict(nonlinear)
     columns = np.zeros((len(window.time), 2, len(LINEAR)))
     forced = np.zeros((len(window.time), 2))
-    columns[:, :, : len(INITIAL)], forced[:] = _channels(moved, window.steer_torque)
+    if FRICTION in values:
+        states, moved = rubbed_states(window, values)
+        forced[:] = np.stack([states[:, LEAN_RATE], np.einsum("ki,ki->k", moved.yaw, states)], axis=1)
+    else:
+        columns[:, :, : len(INITIAL)], forced[:] = _channels(motion(window, values), window.steer_torque)
     pitch = values.get("mounting_pitch", 0.0)
     if pitch:
         columns, forced = _seen_by(pitch, columns), _seen_by(pitch, forced)
@@ -86,7 +103,7 @@ def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
     model = predictor(window, estimate.nonlinear)
     columns = [
         model.columns[:, :, LINEAR.index(name)]
-        if name in LINEAR
+        if name in LINEAR and name not in estimate.nonlinear
         else derivative(window, estimate.nonlinear, name).predict(estimate.complete)
         for name in estimate.names
     ]

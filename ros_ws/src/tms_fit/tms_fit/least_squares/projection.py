@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from tms_model import ParameterError
@@ -21,13 +21,14 @@ from tms_model.bicycle import Array
 
 from tms_fit.least_squares.motion import known_values
 from tms_fit.least_squares.prediction import Predictor, derivative, predictor
-from tms_fit.settings import NONLINEAR
+from tms_fit.settings import FRICTION, LINEAR, shaping
 from tms_fit.window import Window
 
 Rows = Callable[[Array], Array]  # values of both channels (n, 2, ...) -> rows (m, ...) of unit variance
 
 STEPS = 50  # at most, of Gauss and Newton
 SETTLED = 1e-6  # last step, in standard errors
+RUBBED = 1e-2  # the same with friction, whose kinks no derivative follows
 LINEAR_RANK = 1e-9  # smallest singular value of the scaled columns, per largest, that can still be told apart
 RANK = 1e-6  # the same with columns that are differences
 
@@ -50,7 +51,7 @@ class Problem:
     @property
     def known_nonlinear(self) -> dict[str, float]:
         """What `predictor` must be told besides the free ones."""
-        return {name: value for name, value in self.known.items() if name in NONLINEAR}
+        return shaping(self.known, self.names)
 
     def values(self, solution: Array) -> dict[str, float]:
         """All parameters by name, known and found."""
@@ -59,7 +60,7 @@ class Problem:
     def predicted(self, solution: Array) -> Array:
         """Both channels (n, 2) [rad/s] of a solution (p,)."""
         values = self.values(solution)
-        return predictor(self.window, {k: v for k, v in values.items() if k in NONLINEAR}).predict(values)
+        return predictor(self.window, shaping(values)).predict(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ def solve(problem: Problem, rows: Rows, start: Array | None = None) -> Solution:
     start: nonlinear values (q,) to begin with; None: the priors' means, or what the window knows.
     """
     try:
-        point = _at(problem, rows, starting_values(problem) if start is None else start)
+        point = _at(problem, rows, _first(problem, rows) if start is None else start)
         if point is None:
             return _unobservable(problem)
         return _descend(problem, rows, point)
@@ -167,10 +168,31 @@ def _step(
             break
         free[count:] &= ~stuck
     spread = math.sqrt(float(residual @ residual) / max(len(residual) - len(scale), 1))
-    small = np.abs(change[count:]) <= SETTLED * spread / scale[count:] + 1e-11 * (
+    settled = RUBBED if FRICTION in {*problem.names, *problem.known} else SETTLED
+    small = np.abs(change[count:]) <= settled * spread / scale[count:] + 1e-11 * (
         1.0 + np.abs(point.nonlinear)
     )
     return change[count:], bool(small.all())
+
+
+def _first(problem: Problem, rows: Rows) -> Array:
+    """Where to begin: with friction, from what is found without it, which is linear in the initial state."""
+    first = starting_values(problem)
+    if FRICTION not in {*problem.names, *problem.known}:
+        return first
+    names = [name for name in problem.names if name != FRICTION]
+    smooth = replace(
+        problem,
+        linear=tuple(name for name in names if name in LINEAR),
+        nonlinear=tuple(name for name in names if name not in LINEAR),
+        known={name: value for name, value in problem.known.items() if name != FRICTION},
+        priors={name: prior for name, prior in problem.priors.items() if name != FRICTION},
+    )
+    found = solve(smooth, rows)
+    if found.status == "not_observable":
+        return first
+    values = dict(zip(smooth.names, found.values.tolist(), strict=True))
+    return np.array([values.get(name, one) for name, one in zip(problem.nonlinear, first, strict=True)])
 
 
 def starting_values(problem: Problem) -> Array:
@@ -189,7 +211,11 @@ def starting_values(problem: Problem) -> Array:
 
 
 def _bounds(problem: Problem) -> tuple[Array, Array]:
-    bounds = {"strike_time": (-problem.window.longest_delay, 0.0), "speed": (0.05, np.inf)}
+    bounds = {
+        "strike_time": (-problem.window.longest_delay, 0.0),
+        "speed": (0.05, np.inf),
+        FRICTION: (0.0, np.inf),
+    }
     pairs = np.array([bounds.get(name, (-np.inf, np.inf)) for name in problem.nonlinear]).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
 

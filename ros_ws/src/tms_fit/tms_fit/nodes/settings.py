@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
 from tms_model import ParameterError
 
-from tms_fit.arguments import assignment
+from tms_fit.arguments import assignment, each_once, prior
 from tms_fit.least_squares.losses import LOSSES
 from tms_fit.running.live import PREVIEW_PERIOD, REORDER_WINDOW
 from tms_fit.settings import (
@@ -24,6 +25,8 @@ from tms_fit.settings import (
     STEER_TORQUES,
     FitSettings,
 )
+
+Value = TypeVar("Value")
 
 CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
     "filter": ("filter that runs along; extended estimates speed and rolling resistance", FILTERS),
@@ -57,9 +60,20 @@ def declare_settings(node: Node) -> Settings:
         node, "free", [""], f"parameters to estimate, of {', '.join(PARAMETERS)}; empty: the default"
     )
     fixed = declare(node, "fix", [""], "known parameters as NAME=VALUE, SI units, such as speed=3.6")
+    priors = declare(
+        node, "prior", [""], "free parameters of which something is known, as NAME=MEAN,STD, SI units"
+    )
+    oscillator = declare(
+        node,
+        "oscillator",
+        [0.0],
+        "known of an oscillation in the noise: frequency [Hz], decay time [s], deviation [rad/s]; 0: nothing",
+    )
     fit = FitSettings(
         free=tuple(name for name in free if name) or None,
-        fixed=dict(_fixed(text) for text in fixed if text),
+        fixed=each_once(_read("fix", assignment, fixed), "parameter fix"),
+        priors=each_once(_read("prior", prior, priors), "parameter prior"),
+        oscillator=tuple(value for value in oscillator if value),
         window=declare(node, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
         gyroscope_noise=declare(
             node,
@@ -117,11 +131,13 @@ def declare_settings(node: Node) -> Settings:
     )
 
 
-def _fixed(text: str) -> tuple[str, float]:
+def _read(
+    name: str, read: Callable[[str], tuple[str, Value]], texts: Sequence[str]
+) -> list[tuple[str, Value]]:
     try:
-        return assignment(text)
+        return [read(text) for text in texts if text]
     except ArgumentTypeError as error:
-        raise ParameterError(f"parameter fix: {error}") from error
+        raise ParameterError(f"parameter {name}: {error}") from error
 
 
 def asked_for(base: FitSettings, request: Any) -> FitSettings:

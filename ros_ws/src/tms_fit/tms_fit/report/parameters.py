@@ -15,6 +15,7 @@ UNITS = {
     "strike_time": "s",
     "lean_rate_gain": "N m s/rad",
     "mounting_pitch": "rad",
+    "steer_coulomb_friction": "N m",
 }
 RATE = "rad/s"
 

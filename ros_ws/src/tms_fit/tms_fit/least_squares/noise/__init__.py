@@ -12,7 +12,7 @@ from typing import Protocol
 
 from tms_model.bicycle import Array
 
-from tms_fit.least_squares.noise import autoregressive, white
+from tms_fit.least_squares.noise import autoregressive, oscillator, white
 
 
 class Noise(Protocol):
@@ -38,4 +38,5 @@ NoiseModel = Callable[[Array, Array, Array], Noise]
 NOISES: dict[str, NoiseModel] = {
     "white": white.fit,
     "ar": autoregressive.fit,
+    "oscillator": oscillator.fit,
 }

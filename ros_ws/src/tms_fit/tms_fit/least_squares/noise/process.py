@@ -71,7 +71,7 @@ def autocovariances(processes: Sequence[Process], count: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ChannelNoise:
+class ProcessNoise:
     """Noise of one channel on a grid of equal steps, some of which may hold no sample."""
 
     process: Process
@@ -91,6 +91,16 @@ class ChannelNoise:
             white = flat.reshape(white.shape)
         rows: Array = white / self.std
         return rows
+
+    def innovations(self, values: Array) -> Array:
+        """Values (m,) of the samples made white, of variance one."""
+        return self.rows(values)[self.places]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Deviation of the innovations [rad/s] and coefficients."""
+        weights = {f"ar{k + 1}": float(weight) for k, weight in enumerate(self.process.filters[-1])}
+        return {"innovation_std": self.std, **weights}
 
     @property
     def log_determinant(self) -> float:

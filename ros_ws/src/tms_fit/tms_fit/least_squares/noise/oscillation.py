@@ -1,0 +1,129 @@
+"""A stochastic, lightly damped oscillator under white noise, made white by its Kalman filter.
+
+    z[k] = exp((-1/tau + 2 pi i f) dt) z[k-1] + w[k],   y[k] = Re z[k] + v[k],   var v = 1,  var Re z = s^2
+
+Shimmy is like this: a limit cycle of constant size whose phase wanders, forgotten after tau. The same as
+`tms_fit.kalman.state_space.with_oscillator` puts into a filter; innovations per root of their variance are
+white, and the sum of the variances' logarithms is that of the determinant (F. C. Schweppe, IEEE Trans. Inf.
+Theory 11 (1965), doi 10.1109/TIT.1965.1053737). Samples at any times; many candidates are filtered at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from tms_model.bicycle import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Oscillations:
+    """g candidates of what a channel's noise may be, each under white noise of deviation one."""
+
+    time: Array  # (m,) [s] of the samples, ascending
+    frequency: Array  # (g,) [Hz]
+    decay_time: Array  # (g,) [s] in which the phase is forgotten
+    ratio: Array  # (g,) of the oscillation's deviation to that of the white noise; 0: there is none
+
+    @cached_property
+    def _filter(self) -> tuple[Array, Array, Array]:
+        """Turns (m, g) complex, gains (m, g) complex, innovations' deviations (m, g)."""
+        steps = np.diff(self.time, prepend=self.time[:1])
+        rate = -1.0 / self.decay_time + 2j * math.pi * self.frequency
+        turns = np.exp(steps[:, None] * rate)
+        squares = self.ratio**2
+        gains = np.empty(turns.shape, dtype=complex)
+        variances = np.empty(turns.shape)
+        # Variances of Re z and Im z and their covariance; from sample to sample the pair turns and decays.
+        real, cross, imaginary = squares.copy(), np.zeros_like(squares), squares.copy()
+        kept = np.abs(turns) ** 2
+        cos, sin = turns.real, turns.imag
+        driven = squares * (1.0 - kept)
+        for k in range(len(self.time)):
+            c, s = cos[k], sin[k]
+            real, cross, imaginary = (
+                c * c * real - 2.0 * c * s * cross + s * s * imaginary + driven[k],
+                c * s * (real - imaginary) + (c * c - s * s) * cross,
+                s * s * real + 2.0 * c * s * cross + c * c * imaginary + driven[k],
+            )
+            variances[k] = real + 1.0
+            gains[k] = (real + 1j * cross) / variances[k]
+            real, cross, imaginary = (
+                real / variances[k],
+                cross / variances[k],
+                imaginary - cross * cross / variances[k],
+            )
+        return turns, gains, np.sqrt(variances)
+
+    def whitened(self, values: Array) -> Array:
+        """Values (m, q) of the samples made white: (m, g, q)."""
+        if not self.ratio.any():
+            return np.repeat(values[:, None], len(self.ratio), axis=1)
+        turns, gains, deviations = self._filter
+        state = np.zeros((len(self.ratio), values.shape[1]), dtype=complex)
+        white = np.empty((len(values), *state.shape))
+        for k, sample in enumerate(values):
+            state = turns[k][:, None] * state
+            off = sample - state.real
+            state = state + gains[k][:, None] * off
+            white[k] = off / deviations[k][:, None]
+        return white
+
+    @property
+    def log_determinants(self) -> Array:
+        """Of each candidate's covariance (g,)."""
+        if not self.ratio.any():
+            return np.zeros(len(self.ratio))
+        found: Array = 2.0 * np.sum(np.log(self._filter[2]), axis=0)
+        return found
+
+    def products(self, values: Array) -> Array:
+        """Whitened values' products (g, q, q), of values (m, q) of the samples."""
+        white = np.moveaxis(self.whitened(values), 1, 0)
+        products: Array = np.swapaxes(white, 1, 2) @ white
+        return products
+
+    def member(self, index: int, std: float) -> OscillatorNoise:
+        """One candidate whose white noise has a deviation [rad/s]."""
+        one = slice(index, index + 1)
+        return OscillatorNoise(
+            Oscillations(self.time, self.frequency[one], self.decay_time[one], self.ratio[one]), std
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OscillatorNoise:
+    """One of them, at its size."""
+
+    shape: Oscillations  # one candidate
+    std: float  # [rad/s] of the white noise
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Deviation of the white noise and, where there is one, what the oscillator is like."""
+        white = {"noise_std": self.std}
+        if not self.shape.ratio[0]:
+            return white
+        return {
+            **white,
+            "oscillator_frequency": float(self.shape.frequency[0]),
+            "oscillator_decay_time": float(self.shape.decay_time[0]),
+            "oscillator_std": float(self.shape.ratio[0]) * self.std,
+        }
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the covariance of the samples."""
+        return float(self.shape.log_determinants[0]) + 2.0 * math.log(self.std) * len(self.shape.time)
+
+    def rows(self, values: Array) -> Array:
+        """Values (m, ...) of the samples as rows (m, ...) of variance one."""
+        flat = values.reshape(len(values), -1)
+        rows: Array = self.shape.whitened(flat)[:, 0].reshape(values.shape) / self.std
+        return rows
+
+    def innovations(self, values: Array) -> Array:
+        """Values (m,) of the samples made white, of variance one."""
+        return self.rows(values)
