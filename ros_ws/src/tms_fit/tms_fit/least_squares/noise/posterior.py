@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 LEAST = 1e-10  # smallest singular value of the derivatives, per largest, that counts
+CANCELLED = 1e-12  # of a sum of squares: what is left of it after subtraction has no true digits below
 RATIOS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
 
 
@@ -113,11 +114,13 @@ def _average(grams: Array, logs: Array, ratios: Array, count: int, information: 
     scale[scale == 0.0] = 1.0
     normal = grams[..., :size, :size] / np.outer(scale, scale)
     degrees = count - size
-    rough = float(grams[..., size, size].min()) / count  # a variance, by which priors are weighed
+    whole = grams[..., size, size]
+    rough = float(whole.min()) / count  # a variance, by which priors are weighed
     normal = normal + rough * information / np.outer(scale, scale)
     inverse = np.linalg.inv(normal)
     shifts = np.einsum("...ij,...j->...i", inverse, grams[..., :size, size] / scale)
-    squares = grams[..., size, size] - np.einsum("...i,...i->...", shifts, grams[..., :size, size] / scale)
+    explained = np.einsum("...i,...i->...", shifts, grams[..., :size, size] / scale)
+    squares = np.maximum(whole - explained, CANCELLED * whole)  # without noise the difference is rounding
     logs = logs - 0.5 * degrees * np.log(squares) - 0.5 * np.linalg.slogdet(normal)[1]
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
