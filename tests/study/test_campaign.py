@@ -153,3 +153,13 @@ def test_command_writes_table_figure_and_json(tmp_path: Path, capsys: pytest.Cap
     lines = list(csv.DictReader(path.open()))
     assert [line["strike.lean_rate"] for line in lines] == ["0.4", "0.5"]
     assert "estimate less truth" in figure.read_text()
+
+
+def test_stamps_of_a_sensor_whose_clock_is_ahead_are_taken_for_what_they_are(rows: list[Row]) -> None:
+    ahead = campaign(runs=1, **{"wireless.clock_offset": 0.05, "wireless.clock_drift": 1e-3})
+    for late, one in zip(ride_all(ahead), rows[::2], strict=True):
+        assert late.combination == one.combination
+        assert (late.time, late.late) == pytest.approx((one.time, one.late), abs=1e-3)
+        assert late.truth == pytest.approx(
+            one.truth, rel=0.02
+        )

@@ -10,6 +10,7 @@ import itertools
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -127,7 +128,8 @@ def ride_all(
 
 def ride_one(campaign: Campaign, combination: Mapping[str, Any], seed: int) -> Iterator[Row]:
     """The rows of one run: through a bag, as `sim run` and `fit run` go."""
-    run = simulate(campaign.scenario_of(combination, seed), np.random.default_rng(seed))
+    scenario = campaign.scenario_of(combination, seed)
+    run = simulate(scenario, np.random.default_rng(seed))
     with TemporaryDirectory(prefix="tms_campaign_") as folder:
         path = Path(folder) / "bag"
         with BagWriter(path, custom_data=run.custom_data()) as bag:
@@ -136,16 +138,27 @@ def ride_one(campaign: Campaign, combination: Mapping[str, Any], seed: int) -> I
         recording = read_recording(path)
         fits = fit_recording(recording, bicycle_of(recording, None), campaign.settings).strikes
     told = tuple(map(str, combination.values()))
-    rows = _judged(run, list(fits))
+    rows = _judged(run, list(fits), partial(true_time, scenario))
     for number, row in enumerate(rows, start=1):
         yield Row(told, seed, number, len(rows), **row)
 
 
-def _judged(run: SimulatedRun, fits: list[StrikeFit]) -> list[dict[str, Any]]:
+def true_time(scenario: Scenario, stamp_ns: int) -> float:
+    """Time [s since the start] of a stamp by the sensor's clock, which may be ahead and run fast."""
+    since = (stamp_ns - scenario.integer("start_time_ns")) / 1e9
+    offset, drift = scenario.number("wireless.clock_offset"), scenario.number("wireless.clock_drift")
+    return (since - offset) / (1.0 + drift)
+
+
+def _judged(
+    run: SimulatedRun, fits: list[StrikeFit], true_time: Callable[[int], float]
+) -> list[dict[str, Any]]:
     """Figures of each strike, by time: each true one with the nearest found."""
     rows: list[dict[str, Any]] = []
-    ends = [_seconds(run, one.time_ns) + one.duration for one in run.events if one.kind == "strike"]
-    left = {_seconds(run, fit.start_ns): fit for fit in fits}
+    ends = [
+        (one.time_ns - run.info.start_ns) / 1e9 + one.duration for one in run.events if one.kind == "strike"
+    ]
+    left = {true_time(fit.start_ns): fit for fit in fits}
     for end in ends:
         near = min(left, key=lambda start, end=end: abs(start - end), default=NAN)  # type: ignore[misc]
         if not abs(near - end) <= SAME:
@@ -170,7 +183,3 @@ def _figures(run: SimulatedRun, fit: StrikeFit, start: float) -> dict[str, Any]:
         "high": float(one.ci95[index, 1]),
         **{f"vaf_{channel}": value for channel, value in one.vaf.items()},
     }
-
-
-def _seconds(run: SimulatedRun, time_ns: int) -> float:
-    return (time_ns - run.info.start_ns) / 1e9
