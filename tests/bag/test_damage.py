@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from tms_bag import BagReader, RecordingError
 from tms_bag.reading.frames import MAGIC
+from tms_bag.reading.index import scan
 
 SETTINGS = settings(
     max_examples=60,
@@ -131,6 +132,15 @@ def test_a_chunk_that_unpacks_to_another_size_than_it_says_is_left_out(tmp_path,
     with BagReader(path) as reader:
         assert (reader.message_count, reader.indexes[0].damaged_chunks) == (0, 1)
     assert memory() - before < 2 * 2**20  # less than 2 GiB even for a chunk that may have 512 MiB
+
+
+def test_a_file_that_becomes_shorter_meanwhile_is_read_as_far_as_it_is_whole(tmp_path, content):
+    path = tmp_path / "shorter.mcap"
+    for length in (len(MAGIC), len(MAGIC) + 1, len(content) // 2):
+        path.write_bytes(content[:length])
+        with path.open("rb") as file:
+            whole = [span for span in scan(file, length).spans if not span.begun]
+            assert scan(file, len(content)).spans == whole
 
 
 @pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.MESSAGE, Opcode.CHANNEL, 0x7F, 0xFF])

@@ -1,8 +1,11 @@
 """Bags in the making: packed in every way, split by size and time, paused, kept in memory until asked for."""
 
+import errno
+import os
 import resource
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -13,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from tms_bag import BagReader, BagWriter, Record, RecordingError
 from tms_bag.writing import live_bag
 from tms_bag.writing.live_bag import LiveBag
+from tms_bag.writing.mcap_file import McapFile
 from tms_bag.writing.presets import PRESETS
 from tms_bag.writing.recent import RecentRecords
 from tms_bag.writing.repair import repair
@@ -147,6 +151,40 @@ def test_a_bag_whose_disk_was_full_does_not_look_whole(tmp_path, no_room, preset
     found = [data for _, _, data in contents(tmp_path / "bag")]
     assert len(found) >= 500
     assert found == [record(number).data for number in range(len(found))]
+
+
+def test_a_bag_that_the_disk_refused_once_does_not_look_whole(tmp_path, monkeypatch):
+    bag = LiveBag(BagWriter(tmp_path / "bag", live=True))
+    bag.take(record(0), 0)
+    bag.writer.flush()
+
+    def refuse(handle: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", refuse)
+        with pytest.raises(OSError, match="Input/output"):
+            bag.writer.sync()
+    with pytest.raises(OSError, match="Input/output"):  # which the system tells only once
+        bag.close()
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def test_a_file_is_not_closed_while_another_thread_takes_hold_of_it(tmp_path, monkeypatch):
+    file = McapFile(tmp_path / "a.mcap", PRESETS["zstd"])
+    finishing = Thread(target=file.finish, args=("",))
+
+    def duplicate(handle: int) -> int:
+        finishing.start()
+        finishing.join(0.5)  # as far as it gets
+        os.fstat(handle)  # EBADF if it is closed
+        return real(handle)
+
+    real = os.dup
+    monkeypatch.setattr(os, "dup", duplicate)
+    file.sync()
+    finishing.join()
+    file.sync()  # nothing to do any more
 
 
 def test_a_pause_leaves_out_and_counts(tmp_path):

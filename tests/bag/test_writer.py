@@ -61,13 +61,29 @@ def test_a_bag_is_replaced_only_at_a_clean_end(bag, run, make_run, write_bag):
     assert names(bag.parent) == ["bag"]
 
 
-@pytest.mark.parametrize("what", ["a folder with other things", "a file", "a link to a bag"])
+def test_what_a_kill_left_beside_the_metadata_keeps_no_bag_from_being_replaced(bag, make_run, write_bag):
+    (bag / "metadata.yaml").rename(bag / ".metadata.yaml.partial")
+    write_bag(bag, make_run(count=10).records(), overwrite=True)
+    assert names(bag) == ["bag_0.mcap", "metadata.yaml"]
+
+
+@pytest.mark.parametrize(
+    "what",
+    ["a folder with other things", "a file", "a link to a bag", "a folder of bags", "two bags"],
+)
 def test_what_is_no_bag_is_never_replaced(tmp_path, bag, what):
     path = tmp_path / "mine"
     if what == "a file":
         path.write_text("precious")
     elif what == "a link to a bag":
         path.symlink_to(bag)
+    elif what == "a folder of bags":
+        path.mkdir()
+        bag.rename(path / "monday.mcap")
+    elif what == "two bags":
+        path.mkdir()
+        for name in ("monday_0.mcap", "monday_1.mcap", "tuesday_0.mcap"):
+            (path / name).write_bytes(b"precious")
     else:
         path.mkdir()
         (path / "thesis.tex").write_text("precious")

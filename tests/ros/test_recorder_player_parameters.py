@@ -1,13 +1,17 @@
 """Parameters of recorder and player: bad ones end in one line and exit code 2, or are refused at run time."""
 
 import json
+import os
 import resource
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.node import Node
 from tms_bag import BagReader, BagWriter, Record
+from tms_bag.__main__ import main
 from tms_bag.channel import installed_channel
 
 
@@ -171,3 +175,19 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
     with BagReader(tmp_path / "new") as reader:
         assert reader.message_count > 0
         assert not reader.complete
+
+
+@pytest.mark.parametrize("name", ["plain", "größer", "記録", '🚲 "1"', "a\\b: #c"])
+def test_a_bag_may_have_any_name(monkeypatch, tmp_path, name):
+    programs = []
+    monkeypatch.setattr(os, "execv", lambda program, arguments: programs.append(arguments))
+    main(["record", "-o", str(tmp_path / name)])
+    (arguments,) = programs
+    context = rclpy.Context()
+    rclpy.init(args=arguments[arguments.index("--ros-args") :], context=context)
+    try:
+        node = Node("recorder", context=context)
+        assert node.declare_parameter("output", "").value == str(tmp_path / name)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)

@@ -89,6 +89,7 @@ def sockets(process: int) -> set[str]:
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, ("SYSTEM_DEFAULT", str(LOOPBACK))),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, ("SUBNET", None)),
         ({}, (None, None)),
+        ({"ROS_LOCALHOST_ONLY": "1"}, ("SYSTEM_DEFAULT", str(LOOPBACK))),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.2"}, ("LOCALHOST", None)),
         (
             {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"},

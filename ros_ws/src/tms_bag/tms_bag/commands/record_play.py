@@ -124,6 +124,7 @@ def _become(name: str, parameters: dict[str, Any], remaps: Sequence[str] = ()) -
     arguments = [sys.executable, "-m", "tms_bag.nodes.starting", module, "--ros-args", *remaps]
     for key, value in parameters.items():
         if value not in ([], ""):  # an empty list has no type for ROS; the node's default is empty
-            arguments += ["-p", f"{key}:={json.dumps(value)}"]
+            # ROS reads the text as YAML, which knows no pairs of \u for a character.
+            arguments += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
     sys.stdout.flush()
     os.execv(sys.executable, arguments)

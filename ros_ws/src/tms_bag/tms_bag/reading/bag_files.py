@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from tms_bag import metadata
@@ -38,13 +39,18 @@ def _files_of(path: Path, salvage: bool) -> tuple[list[Path], metadata.Metadata 
             f" {', '.join(entries) or 'an empty folder'};"
             " give the folder that `bag record`, `sim run` or `ros2 bag record -s mcap` made"
         )
-    stems = sorted({_split_number(name)[0] for name in names})
+    stems = stems_of(names)
     if stored is None and len(stems) > 1:
         raise RecordingError(
             f"{path}: expected the files of one bag, found no metadata.yaml and files of several:"
             f" {', '.join(stems[:5])}; give one of the files, or a folder for each bag"
         )
     return [_inside(path, name) for name in names], stored
+
+
+def stems_of(names: Iterable[str]) -> list[str]:
+    """What the names of files start with, but for the numbers of a recorder that splits: one for each bag."""
+    return sorted({_split_number(name)[0] for name in names})
 
 
 def _stored_metadata(path: Path, salvage: bool) -> metadata.Metadata | None:

@@ -173,7 +173,7 @@ class _Builder:
     def add_begun_chunk(self, place: int, size: int) -> None:
         """The messages that can be had of a chunk at a place of the file, if its end is missing."""
         start = place + HEADER_SIZE
-        if start >= size or os.pread(self._file.fileno(), 1, place)[0] != Opcode.CHUNK:
+        if start >= size or os.pread(self._file.fileno(), 1, place) != bytes([Opcode.CHUNK]):
             return
         frame = Frame(Opcode.CHUNK, start, min(size, start + frames.LARGEST_RECORD))
         try:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tms_bag.errors import RecordingError
 from tms_bag.metadata import FILE_NAME
+from tms_bag.reading.bag_files import stems_of
 
 
 class Destination:
@@ -111,7 +112,7 @@ def sync_folder(folder: Path) -> None:
 
 def write_at_once(path: Path, text: str) -> None:
     """Write a file that is on the disk whole or, whatever happens meanwhile, not there at all."""
-    unfinished = path.with_name(f".{path.name}.partial")
+    unfinished = _unfinished(path)
     try:
         with unfinished.open("w", encoding="utf-8") as file:
             file.write(text)
@@ -124,15 +125,28 @@ def write_at_once(path: Path, text: str) -> None:
     sync_folder(path.parent)
 
 
+def _unfinished(path: Path) -> Path:
+    """The name of a file while it is written; after a kill it may be left."""
+    return path.with_name(f".{path.name}.partial")
+
+
 def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise RecordingError(
             f"{given}: exists already; choose another name (--force, where a command has it, replaces a bag)"
         )
     entries = sorted(path.iterdir()) if path.is_dir() and not path.is_symlink() else [path]
-    strange = [entry.name for entry in entries if entry.name != FILE_NAME and entry.suffix != ".mcap"]
+    strange = [entry.name for entry in entries if not _may_be_of_a_bag(entry)]
+    if not (path / FILE_NAME).exists():  # a folder that holds several bags isn't one
+        stems = stems_of(entry.name for entry in entries if entry.suffix == ".mcap")
+        strange = strange or (stems if len(stems) > 1 else [])
     if strange or not path.is_dir():
         found = ", ".join(strange[:3]) if path.is_dir() else "a file"
         raise RecordingError(
             f"{given}: expected a bag to replace, found {found}; remove it yourself or choose another name"
         )
+
+
+def _may_be_of_a_bag(entry: Path) -> bool:
+    known = entry.name in (FILE_NAME, _unfinished(Path(FILE_NAME)).name) or entry.suffix == ".mcap"
+    return known and not entry.is_dir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from threading import Lock
 from typing import Any, BinaryIO
 
 from tms_bag.channel import Channel
@@ -27,6 +28,7 @@ class McapFile:
         self.time_range: tuple[int, int] | None = None  # earliest and latest log time [ns]
         self._chunked = preset.chunk_size > 0
         self._failure: OSError | None = None
+        self._closing = Lock()  # a descriptor that is closed may be another file's a moment later
         self._pending = 0  # [bytes] in the chunk that isn't complete yet
         self._channels: dict[str, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
@@ -78,9 +80,19 @@ class McapFile:
             raise
         self._pending = 0
 
-    def duplicate_handle(self) -> int:
-        """A file descriptor of its own for whoever calls fsync; to be closed by him."""
-        return os.dup(self._file.fileno())
+    def sync(self) -> None:
+        """Bring what has been flushed to the disk. May be called from another thread, and take long."""
+        with self._closing:
+            if self._file.closed:  # it has been finished meanwhile, and is on the disk
+                return
+            handle = os.dup(self._file.fileno())
+        try:
+            os.fsync(handle)
+        except OSError as error:
+            self._failure = error
+            raise
+        finally:
+            os.close(handle)
 
     def finish(self, text: str) -> None:
         """Write metadata and summary, bring all to the disk, close. OSError if something was not taken."""
@@ -90,7 +102,8 @@ class McapFile:
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())  # the name of a finished bag must not come before its content
-        self._file.close()
+        with self._closing:
+            self._file.close()
 
     def abandon(self) -> None:
         """Close the file as it is."""

@@ -150,14 +150,7 @@ class BagWriter:
 
         May be called from another thread.
         """
-        try:
-            handle = self._file.duplicate_handle()
-        except ValueError:  # it has been finished meanwhile, and is on the disk
-            return
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        self._file.sync()
 
     def _has_no_room_for(self, record: Record) -> bool:
         file, limit = self._file, self._splitting
