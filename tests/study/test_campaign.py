@@ -160,6 +160,4 @@ def test_stamps_of_a_sensor_whose_clock_is_ahead_are_taken_for_what_they_are(row
     for late, one in zip(ride_all(ahead), rows[::2], strict=True):
         assert late.combination == one.combination
         assert (late.time, late.late) == pytest.approx((one.time, one.late), abs=1e-3)
-        assert late.truth == pytest.approx(
-            one.truth, rel=0.02
-        )
+        assert late.truth == pytest.approx(one.truth, rel=0.02)
