@@ -1,5 +1,7 @@
 """Bags in sqlite3, as ROS 2 recorded before Iron, and as the rosbags library writes them."""
 
+import errno
+import shutil
 import sqlite3
 from contextlib import closing
 
@@ -137,3 +139,15 @@ def test_a_log_that_is_none_beside_the_file_changes_nothing(db3_bag):
         file.with_name(file.name + end).write_bytes(bytes(100) + b"no log of sqlite" * 99)
     with BagReader(db3_bag) as bag:
         assert bag.message_count == 360
+
+
+def test_no_room_for_the_copy_of_a_file_that_was_not_closed_is_told(db3_bag, monkeypatch):
+    (file,) = db3_bag.glob("*.db3")
+    file.with_name(file.name + "-wal").write_bytes(b"left")
+
+    def copy(source: object, target: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(shutil, "copyfile", copy)
+    with pytest.raises(RecordingError, match=r"No space left on device.* set TMPDIR to a folder with room"):
+        BagReader(db3_bag)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tms_bag import RecordingError, conversion, topics
+from tms_bag import Record, RecordingError, conversion, topics
 from tms_bag.messages import _store, deserialize, message_type, serialize
 from tms_bag.reading.one_message import read_numbers, write_numbers
 from tms_bag.reading.tables import MessageError, new_table, read_table, rows, stamps
@@ -59,6 +59,17 @@ def random_message(type_name: str, rng: np.random.Generator, frame_id: str):
 @pytest.fixture(params=TYPES)
 def type_name(request) -> str:
     return request.param
+
+
+@pytest.mark.parametrize("length", [2**15, 2**16, 2**20])
+def test_a_frame_longer_than_any_is_told(length):
+    message = random_message("geometry_msgs/msg/TwistStamped", np.random.default_rng(1), "")
+    header = dataclasses.replace(message.header, frame_id="x" * length)
+    data = serialize(dataclasses.replace(message, header=header))
+    record = Record("/bicycle/speed", "geometry_msgs/msg/TwistStamped", 1, data)
+    for read in (conversion.speed_reading, lambda record: conversion.speed_samples([record])):
+        with pytest.raises(RecordingError, match="/bicycle/speed at 1 ns: expected a geometry_msgs"):
+            read(record)
 
 
 @pytest.mark.parametrize("frame_id", FRAMES)

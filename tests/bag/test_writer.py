@@ -1,6 +1,7 @@
 """Writing: all or nothing, nothing but bags is replaced, a live bag keeps what it has."""
 
 import dataclasses
+import os
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,17 @@ def test_what_a_kill_left_beside_the_metadata_keeps_no_bag_from_being_replaced(b
     (bag / "metadata.yaml").rename(bag / ".metadata.yaml.partial")
     write_bag(bag, make_run(count=10).records(), overwrite=True)
     assert names(bag) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def test_what_a_killed_process_of_the_same_number_left_is_in_nobodys_way(bag, make_run, write_bag):
+    left = [bag.with_name(f".bag.{os.getpid()}.{end}") for end in ("partial", "replaced")]
+    for folder in left:
+        folder.mkdir()
+        (folder / "bag_0.mcap").write_bytes(b"left")
+    write_bag(bag, make_run(count=10).records(), overwrite=True)
+    with BagReader(bag) as reader:
+        assert list(reader.records()) == make_run(count=10).records()
+    assert names(bag.parent) == [*sorted(folder.name for folder in left), "bag"]
 
 
 @pytest.mark.parametrize(

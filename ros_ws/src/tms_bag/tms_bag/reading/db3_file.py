@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
+from tms_bag.errors import RecordingError
 from tms_bag.reading.packed_file import is_packed, unpack
 
 _BESIDE = ("-wal", "-journal")
@@ -48,8 +49,14 @@ def left_beside(path: Path) -> list[Path]:
 
 
 def _settle(path: Path, copy: Path) -> None:
-    shutil.copyfile(path, copy)
-    for file in left_beside(path):
-        shutil.copyfile(file, copy.with_name(copy.name + file.name.removeprefix(path.name)))
+    try:
+        shutil.copyfile(path, copy)
+        for file in left_beside(path):
+            shutil.copyfile(file, copy.with_name(copy.name + file.name.removeprefix(path.name)))
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: wasn't closed, and can't be brought in order in a temporary copy ({error.strerror});"
+            " set TMPDIR to a folder with room for it"
+        ) from error
     with closing(sqlite3.connect(copy)) as database:
         database.execute("PRAGMA journal_mode = DELETE").fetchall()

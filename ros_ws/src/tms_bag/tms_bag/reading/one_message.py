@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 from tms_bag.reading.layout import ENCAPSULATION
-from tms_bag.reading.tables import LENGTH_PLACE, TEXT_PLACE, MessageError, fixed_layout
+from tms_bag.reading.tables import LENGTH_PLACE, TEXT_PLACE, TEXT_STOP, MessageError, fixed_layout
 
 _CODES = {
     "b1": "?", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q",
@@ -27,7 +27,7 @@ def read_numbers(type_name: str, names: tuple[str, ...], data: bytes) -> tuple[A
     MessageError if the bytes aren't a message of this type.
     """
     length = int.from_bytes(data[LENGTH_PLACE:TEXT_PLACE], "little" if data[1:2] == b"\x01" else "big")
-    text = data[TEXT_PLACE : min(TEXT_PLACE + length, len(data))]
+    text = data[TEXT_PLACE : min(TEXT_PLACE + length, TEXT_STOP)]
     form = _reading_form(type_name, names, data[:2], text)
     if form is None or not form.size <= len(data) <= form.size + 3:
         raise MessageError(type_name, 0, len(data))

@@ -21,6 +21,7 @@ from tms_bag.samples import IntArray
 Table = NDArray[np.void]  # structured; columns are called as in the message, for example angular_velocity.x
 
 LENGTH_PLACE, TEXT_PLACE = 12, 16  # [bytes] where the length of the header's text and the text stand
+TEXT_STOP = TEXT_PLACE + 2**15  # [bytes] no frame_id goes further; what a message says it has may
 
 
 class MessageError(RecordingError):
@@ -62,7 +63,7 @@ def read_table(type_name: str, messages: Sequence[bytes]) -> tuple[Table, list[s
         end = TEXT_PLACE + int.from_bytes(
             data[LENGTH_PLACE:TEXT_PLACE], "little" if data[1:2] == b"\x01" else "big"
         )
-        groups.setdefault(data[:2] + data[LENGTH_PLACE : min(end, len(data))], []).append(row)
+        groups.setdefault(data[:2] + data[LENGTH_PLACE : min(end, TEXT_STOP)], []).append(row)
     if len(groups) == 1:
         table, frame = _read_group(type_name, next(iter(groups)), messages, range(len(messages)))
         return table, [frame] * len(messages)

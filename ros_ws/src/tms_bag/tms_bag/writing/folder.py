@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 from tms_bag.errors import RecordingError
@@ -32,7 +33,7 @@ class Destination:
         self._keep_old_as = keep_old_as
         if self._replaces and keep_old_as is None:
             _check_replaceable(path, self.path, overwrite)
-        self._folder = self.path if in_place else self.path.with_name(f".{self.name}.{os.getpid()}.partial")
+        self._folder = self.path if in_place else _hidden(self.path, "partial")
         self._made_parents: list[Path] = []
 
     @property
@@ -59,7 +60,7 @@ class Destination:
         """Move the finished folder to its place; `beside` is called while nothing stands there."""
         if self._folder == self.path:
             return
-        old = self._keep_old_as or self.path.with_name(f".{self.name}.{os.getpid()}.replaced")
+        old = self._keep_old_as or _hidden(self.path, "replaced")
         if self._replaces:
             self.path.rename(old)
         try:
@@ -123,6 +124,14 @@ def write_at_once(path: Path, text: str) -> None:
         unfinished.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def _hidden(path: Path, end: str) -> Path:
+    """A free name beside `path`."""
+    # In a container a process often has the number of one that was killed in the last.
+    ends = (f"{again}.{end}" if again else end for again in count())
+    names = (path.with_name(f".{path.name}.{os.getpid()}.{end}") for end in ends)
+    return next(name for name in names if not os.path.lexists(name))
 
 
 def _unfinished(path: Path) -> Path:
