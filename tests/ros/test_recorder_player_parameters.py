@@ -1,5 +1,6 @@
 """Parameters of recorder and player: bad ones end in one line and exit code 2, or are refused at run time."""
 
+import dataclasses
 import json
 import os
 import resource
@@ -13,6 +14,7 @@ from rclpy.node import Node
 from tms_bag import BagReader, BagWriter, Record
 from tms_bag.__main__ import main
 from tms_bag.channel import installed_channel
+from tms_bag.qos import Qos
 
 
 def only_line(nodes, executable: str) -> str:
@@ -126,8 +128,6 @@ def test_the_recorder_reports_its_counts(nodes, participant, bag, tmp_path):
 
 
 def test_a_type_that_is_not_installed_is_left_out_with_a_warning(nodes, bag, tmp_path):
-    import dataclasses
-
     with BagReader(bag) as reader, BagWriter(tmp_path / "foreign") as writer:
         known = installed_channel("/known", "std_msgs/msg/UInt8", ())
         writer.add_channel(dataclasses.replace(known, name="/foreign", type="elsewhere_msgs/msg/Thing"))
@@ -175,6 +175,20 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
     with BagReader(tmp_path / "new") as reader:
         assert reader.message_count > 0
         assert not reader.complete
+
+
+def test_names_and_depths_that_ros_does_not_know_keep_nothing_else_from_being_played(
+    nodes, records, tmp_path
+):
+    with BagWriter(tmp_path / "odd") as writer:
+        for record in records:
+            writer.write(record, Qos(depth=2**40, durability="transient_local"))
+        for name in ("/a name", "/speed!", "/slash/", ""):
+            writer.write(dataclasses.replace(records[0], topic=name, time_ns=records[-1].time_ns))
+    nodes.finish(nodes.start("tms_bag", "player", "-p", f"bag:={tmp_path / 'odd'}", "-p", "rate:=100.0"))
+    said = nodes.log("player").read_text()
+    assert said.count("is not played: no topic of ROS has such a name") == 4
+    assert f"{len(records)} messages played" in said
 
 
 @pytest.mark.parametrize("name", ["plain", "größer", "記録", '🚲 "1"', "a\\b: #c"])

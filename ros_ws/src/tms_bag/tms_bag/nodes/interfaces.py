@@ -24,7 +24,7 @@ OVERRIDABLE = QoSOverridingOptions(
         QoSPolicyKind.DURABILITY,
     )
 )
-LEAST_DEPTH = 5000  # [messages]
+LEAST_DEPTH, MOST_DEPTH = 5000, 10**6  # [messages]; a bag may say anything, DDS takes less than 2^31
 
 
 def message_class(type_name: str) -> Any:
@@ -67,7 +67,8 @@ def offered_profile(recorded: Sequence[Qos], count: int) -> QoSProfile:
     """
     qos = recorded[0] if recorded else Qos()
     latched = qos.durability == "transient_local"
-    depth = (qos.depth or min(max(count, 1), 1000)) if latched else max(qos.depth, LEAST_DEPTH)
+    said = min(max(qos.depth, 0), MOST_DEPTH)
+    depth = (said or min(max(count, 1), 1000)) if latched else max(said, LEAST_DEPTH)
     profile = QoSProfile(
         depth=depth,
         history=HistoryPolicy.KEEP_ALL if qos.history == "keep_all" else HistoryPolicy.KEEP_LAST,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 
 from tms_bag.channel import check_encoding
@@ -42,14 +43,14 @@ def make_publishers(
             continue
         try:
             check_encoding(channel)
-            kind = message_class(channel.type)
+            kind, profile = message_class(channel.type), offered_profile(channel.qos, counts[name])
+            publishers[name] = node.create_publisher(kind, name, profile, qos_overriding_options=OVERRIDABLE)
         except RecordingError as error:
             if name in selection.names:
                 raise
             node.get_logger().warning(f"{name} is not played: {error}")
-            continue
-        profile = offered_profile(channel.qos, counts[name])
-        publishers[name] = node.create_publisher(kind, name, profile, qos_overriding_options=OVERRIDABLE)
+        except InvalidTopicNameException:  # MCAP files of others than ROS may have it
+            node.get_logger().warning(f"{name!r} is not played: no topic of ROS has such a name")
     return publishers
 
 
