@@ -115,10 +115,14 @@ def test_steer_rate_when_asked_for(fit_bag: Any) -> None:
 def test_feedback_is_told_from_an_input(fit_bag: Any) -> None:
     # An input is held from sample to sample; the torque that acted changed in between: hence 400 samples a
     # second.
-    (told,) = fit_bag("delft_push", "imu.rate=400", seed=2)
+    free = (
+        "--free",
+        "initial_lean_rate,lean_rate_bias,yaw_rate_bias",
+    )  # else more is found to make up for it
+    (told,) = fit_bag("delft_push", "imu.rate=400", seed=2, options=free)
     assert told["lean_rate_gain"] == pytest.approx(7.0, abs=0.2)
-    (ignored,) = fit_bag("delft_push", "imu.rate=400", seed=2, options=("--steer-torque", "ignore"))
-    (as_input,) = fit_bag("delft_push", "imu.rate=400", seed=2, options=("--steer-torque", "input"))
+    (ignored,) = fit_bag("delft_push", "imu.rate=400", seed=2, options=(*free, "--steer-torque", "ignore"))
+    (as_input,) = fit_bag("delft_push", "imu.rate=400", seed=2, options=(*free, "--steer-torque", "input"))
     assert ignored["lean_rate_gain"] == as_input["lean_rate_gain"] == 0.0
     fed, without, given = (one["estimates"][0]["vaf"]["yaw_rate"] for one in (told, ignored, as_input))
     assert fed > given
@@ -133,16 +137,23 @@ def test_intervals_hold_as_often_as_they_say(make_run: Any, fit_run: Any, scenar
     # inside their interval: bands of 3.3 deviations (0.1 %) for each.
     truth, count = load_scenario(scenario).number("strike.lean_rate"), 100
     rng = np.random.default_rng(2011)
-    scores, inside = [], 0
+    scores, inside, later = [], 0, 0
     for seed in range(count):
         run = make_run(scenario, seed=seed, strike__time=1.0 + 0.01 * rng.random(), duration=2.6)
         (strike,) = fit_run(run, estimators=("least_squares",))
         (answer,) = strike.estimates
-        assert answer.names == DEFAULT_FREE
+        there = truth
+        if answer.names != DEFAULT_FREE:
+            # Dated some milliseconds late: the steering turns by then, which is found, and the lean rate has
+            # changed. The answer is that of the start found, not of the strike.
+            assert answer.names == (*DEFAULT_FREE, "initial_steer_rate")
+            start = (strike.start_ns - run.info.start_ns) / 1e9
+            there, later = float(run.trajectory.at(np.array([start])).lean_rate[0]), later + 1
         index = answer.names.index("initial_lean_rate")
-        scores.append((answer.values[index] - truth) / answer.std[index])
+        scores.append((answer.values[index] - there) / answer.std[index])
         low, high = answer.ci95[index]
-        inside += int(low <= truth <= high)
+        inside += int(low <= there <= high)
+    assert later <= 0.1 * count
     assert abs(np.mean(scores)) < 3.3 / np.sqrt(count)
     assert abs(np.std(scores) - 1.0) < 3.3 / np.sqrt(2 * count)
     assert abs(inside - 0.95 * count) < 3.3 * np.sqrt(count * 0.95 * 0.05)

@@ -85,7 +85,7 @@ class Row:
     status: str  # of the estimate, or missed, or false
     time: float  # [s since the start] end of the true strike; of a false one: where it was found
     late: float = NAN  # [s] by which the free response found begins after the true strike's end
-    truth: float = NAN  # [rad/s] true lean rate at the begin of the free response found
+    truth: float = NAN  # [rad/s] true lean rate of the instant that the estimate is about
     estimate: float = NAN  # [rad/s]
     std: float = NAN  # [rad/s]
     low: float = NAN  # [rad/s] 95 % interval
@@ -164,19 +164,25 @@ def _judged(
         if not abs(near - end) <= SAME:
             rows.append({"status": "missed", "time": end})
             continue
-        rows.append({"time": end, "late": near - end, **_figures(run, left.pop(near), max(near, end))})
+        rows.append({"time": end, "late": near - end, **_figures(run, left.pop(near), near, end)})
     rows += [{"status": "false", "time": start} for start in left]
     return sorted(rows, key=lambda row: float(row["time"]))
 
 
-def _figures(run: SimulatedRun, fit: StrikeFit, start: float) -> dict[str, Any]:
+def _figures(run: SimulatedRun, fit: StrikeFit, start: float, end: float) -> dict[str, Any]:
+    """What the estimate says and what is true, where the free response found begins at start [s].
+
+    A sharp strike's instant is estimated, and its uncertainty is in the interval: truth is what was right
+    after it, at `end` [s]. Any other start is what somebody said it is, and truth that of its instant.
+    """
     (one,) = fit.estimates
     if one.status != "ok" or "initial_lean_rate" not in one.names:
         return {"status": one.status}
     index = one.names.index("initial_lean_rate")
+    instant = end if fit.strike.sharp else max(start, end)
     return {
         "status": one.status,
-        "truth": float(run.trajectory.at(np.array([start])).lean_rate[0]),
+        "truth": float(run.trajectory.at(np.array([instant])).lean_rate[0]),
         "estimate": float(one.values[index]),
         "std": float(one.std[index]),
         "low": float(one.ci95[index, 0]),

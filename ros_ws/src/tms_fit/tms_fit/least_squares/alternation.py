@@ -20,7 +20,7 @@ from tms_fit.least_squares.projection import Problem, Rows, Solution, solve
 from tms_fit.settings import shaping
 
 ROUNDS = 60  # at most
-FINEST = 1e-7  # of the largest rate: residuals below that are rounding
+FINEST = 1e-4  # largest residual, per largest rate, below which it is no noise: gyroscopes measure no better
 SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
 
 

@@ -81,8 +81,10 @@ def _transitions(
     bicycle: Bicycle, times: Array, speeds: Array, window: Window, falling: float | None
 ) -> tuple[Array, Array]:
     """Transitions (n, 4, 4), and what they do with a torque (n, 4); falling [m/s^2]: evenly, None: not so."""
-    # Whole nanoseconds, so that equal steps share one matrix whatever the float times are.
-    steps = np.round(np.diff(times), 9)
+    # Whole nanoseconds, so that equal steps share one matrix whatever the float times are; but for the first,
+    # since the start may be what is searched, and a search on a grid never settles.
+    steps = np.diff(times)
+    steps[1:] = np.round(steps[1:], 9)
     if (speeds == speeds[0]).all():
         distinct, index = np.unique(steps, return_inverse=True)
         generator = np.zeros((5, 5))

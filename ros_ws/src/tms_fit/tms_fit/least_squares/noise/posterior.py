@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 LEAST = 1e-10  # smallest singular value of the derivatives, per largest, that counts
-CANCELLED = 1e-12  # of a sum of squares: what is left of it after subtraction has no true digits below
+CANCELLED = 1e-12  # of a sum of squares: what is left of it after subtraction has no true digits below this
 RATIOS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
 
 
@@ -117,6 +117,9 @@ def _average(grams: Array, logs: Array, ratios: Array, count: int, information: 
     whole = grams[..., size, size]
     rough = float(whole.min()) / count  # a variance, by which priors are weighed
     normal = normal + rough * information / np.outer(scale, scale)
+    normal = normal + CANCELLED * np.eye(
+        size
+    )  # a direction that only a channel of no weight tells stays finite
     inverse = np.linalg.inv(normal)
     shifts = np.einsum("...ij,...j->...i", inverse, grams[..., :size, size] / scale)
     explained = np.einsum("...i,...i->...", shifts, grams[..., :size, size] / scale)
