@@ -143,3 +143,16 @@ def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
     samples = [one for one in stream(SECOND, 1) if one[0] == topics.IMU]
     answers = taken(fit, [announced(), (topics.SPEED, mad.data), *samples]) + fit.finish()
     assert [one.topic for one in answers if one.topic == "/filter_state"] == []
+
+
+def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past() -> None:
+    fit = LiveFit(FitSettings())
+    (wrong,) = conversion.run_info_records(replace(INFO, bicycle="tandem"))
+    assert fit.take(topics.RUN_INFO, wrong.data) == []
+    assert fit.diagnostics["unknown_bicycle"] == 1
+    assert fit.bicycle == ""
+    messages = list(stream(SECOND, 1))
+    assert taken(fit, messages) == []  # they wait
+    answers = [*taken(fit, [announced()]), *fit.finish()]
+    right = LiveFit(FitSettings())
+    assert answers == [*taken(right, [announced(), *messages]), *right.finish()]

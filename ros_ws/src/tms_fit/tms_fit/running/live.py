@@ -7,6 +7,7 @@ announced, the fit begins anew.
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import replace
 
 import numpy as np
 from tms_bag import Record, RecordingError, conversion, topics
@@ -97,6 +98,9 @@ class LiveFit:
 
     def _announce(self, info: RunInfo) -> list[Record]:
         answers = self.finish() if self._online is not None and self._newest_ns else []
+        if info.bicycle and not self._given and not _is_known(info.bicycle):
+            self.counts["unknown_bicycle"] += 1
+            info = replace(info, bicycle="")
         self._info = info
         return answers + self._begin()
 
@@ -186,3 +190,12 @@ class LiveFit:
             else:
                 answers.append(filter_state_record(result))
         return answers
+
+
+def _is_known(bicycle: str) -> bool:
+    """Whether a bicycle that somebody else names can be had here; a wrong name must not end a node."""
+    try:
+        load_bicycle(bicycle)
+    except ParameterError:
+        return False
+    return True
