@@ -5,15 +5,12 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tms_bag import RecordingError
-from tms_fit.__main__ import main as fit
 from tms_fit.settings import FitSettings
-from tms_model import ParameterError
-from tms_sim.__main__ import main as sim
-from tms_study.__main__ import main as study
 from tms_study.campaign import Campaign, Row, ride_all
 from tms_study.campaign_file import CampaignFile
 from tms_study.campaign_result import summarise
@@ -32,33 +29,17 @@ def rows() -> list[Row]:
     return ride_all(campaign())
 
 
-def test_a_row_is_what_sim_run_and_fit_run_give(
-    rows: list[Row], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_row_is_what_sim_run_and_fit_run_give(rows: list[Row], command: Any, tmp_path: Path) -> None:
     one = next(row for row in rows if row.combination == ("0.5",) and row.seed == 8)
-    bag = str(tmp_path / "bag")
-    sim(
-        [
-            "run",
-            "tms_strike",
-            "--set",
-            "duration=4.0",
-            "--set",
-            "strike.lean_rate=0.5",
-            "--seed",
-            "8",
-            "-o",
-            bag,
-        ]
-    )
-    fit(["run", bag, "--window", "1.0", "--estimator", "least_squares", "--json"])
-    (strike,) = json.loads(capsys.readouterr().out)["strikes"]
+    bag = tmp_path / "bag"
+    settings = ("--set", "duration=4.0", "--set", "strike.lean_rate=0.5")
+    command("tms_sim", "run", "tms_strike", *settings, "--seed", "8", "-o", bag)
+    said = command("tms_fit", "run", bag, "--window", "1.0", "--estimator", "least_squares", "--json")
+    (strike,) = json.loads(said.out)["strikes"]
     found = strike["estimates"][0]["parameters"]["initial_lean_rate"]
     assert one.estimate == found["value"]
     assert [one.low, one.high] == found["ci95"]
-    assert one.truth == pytest.approx(
-        0.5, rel=0.01
-    )  # a little later than the strike, it has changed a little
+    assert one.truth == pytest.approx(0.5, rel=0.01)
 
 
 def test_summary_by_hand(rows: list[Row]) -> None:
@@ -126,28 +107,18 @@ def test_another_campaign_is_not_continued(rows: list[Row], tmp_path: Path) -> N
         (["tms_strike", "-o", "/nowhere/at/all.csv"], "a folder that exists"),
     ],
 )
-def test_nonsense_is_one_clear_line(arguments: list[str], expected: str) -> None:
-    with pytest.raises((ParameterError, RecordingError)) as told:
-        study(["campaign", *arguments])
-    assert expected in str(told.value)
-    assert "\n" not in str(told.value)
+def test_nonsense_is_one_clear_line(refused: Any, arguments: list[str], expected: str) -> None:
+    assert expected in refused("tms_study", "campaign", *arguments)
 
 
-def test_command_writes_table_figure_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_table_figure_and_json(command: Any, tmp_path: Path) -> None:
     path, figure = tmp_path / "campaign.csv", tmp_path / "campaign.svg"
-    words = [
-        "campaign",
-        "tms_strike",
-        "--vary",
-        "strike.lean_rate=[0.4, 0.5]",
-        "--runs",
-        "1",
-        "--fit",
-        "window=1.0",
-    ]
-    study([*words, "--set", "duration=4.0", "-o", str(path), "--figure", str(figure), "--json"])
-    document = json.loads(capsys.readouterr().out)
-    assert [one["combination"] for one in document["combinations"]] == [
+    words = ["tms_strike", "--vary", "strike.lean_rate=[0.4, 0.5]", "--runs", "1", "--fit", "window=1.0"]
+    said = command(
+        "tms_study", "campaign", *words, "--set", "duration=4.0", "-o", path, "--figure", figure, "--json"
+    )
+    assert (said.code, said.err) == (0, "")
+    assert [one["combination"] for one in json.loads(said.out)["combinations"]] == [
         {"strike.lean_rate": 0.4}, {"strike.lean_rate": 0.5}
     ]  # fmt: skip
     lines = list(csv.DictReader(path.open()))
