@@ -16,7 +16,7 @@ import struct
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -398,9 +398,11 @@ def test_what_killed_nodes_leave_in_shared_memory_hinders_nobody(
     records = inputs(run_of(seed=8))
     answers = Answers(participant)
     source = Source(participant, records)
-    dead = listeners(participant)  # for others they are there until their lease ends
+    dead = listeners(participant, source.publishers)  # for others they are there until their lease ends
     estimator = nodes.start("tms_fit", "estimator")
-    participant.spin_until(lambda: len(listeners(participant) - dead) == len(source.publishers), "a live one")
+    participant.spin_until(
+        lambda: len(listeners(participant, source.publishers) - dead) == len(source.publishers), "a live one"
+    )
     participant.reach("/estimator")
     source.send(records)
     expected = offline(records)
@@ -409,9 +411,8 @@ def test_what_killed_nodes_leave_in_shared_memory_hinders_nobody(
     nodes.stop(estimator)
 
 
-def listeners(participant: Any) -> set[bytes]:
-    """Who listens to what an estimator hears, dead or alive."""
-    names = ("/imu/data_raw", "/bicycle/speed", "/run_info")
+def listeners(participant: Any, names: Iterable[str]) -> set[bytes]:
+    """Who listens to some topics, dead or alive."""
     return {
         bytes(info.endpoint_gid)
         for name in names
