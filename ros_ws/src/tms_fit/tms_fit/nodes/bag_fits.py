@@ -18,7 +18,7 @@ from tms_model import ParameterError
 from tms_msgs.action import FitRecording
 
 from tms_fit.nodes.refit import estimates_of
-from tms_fit.nodes.settings import asked_for
+from tms_fit.nodes.requests import asked_for
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import FitSettings
 

@@ -10,7 +10,7 @@ from tms_msgs.msg import Estimate
 from tms_msgs.srv import Refit
 
 from tms_fit.messages import estimate_records
-from tms_fit.nodes.settings import asked_for
+from tms_fit.nodes.requests import asked_for
 from tms_fit.running.live import LiveFit
 from tms_fit.strike_fit import StrikeFit
 

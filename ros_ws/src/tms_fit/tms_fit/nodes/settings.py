@@ -1,11 +1,11 @@
-"""The estimator's parameters, and the settings that a request asks for in their place."""
+"""The estimator's parameters."""
 
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
@@ -37,6 +37,12 @@ CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
     "slip": ("what is done with the slip window", SLIPS),
     "speed_model": ("the speed after a strike", SPEED_MODELS),
     "steer_torque": ("how a known torque enters", STEER_TORQUES),
+}
+
+NUMBERS: dict[str, tuple[str, float, float]] = {  # what it is, least and largest
+    "window": ("longest free response used [s]", 0.3, 60.0),
+    "gyroscope_noise": ("noise where no message states it [rad/s]", 1e-9, 10.0),
+    "slip_window": ("time after a strike in which the front wheel slips [s]", 0.0, 10.0),
 }
 
 
@@ -74,15 +80,6 @@ def declare_settings(node: Node) -> Settings:
         fixed=each_once(_read("fix", assignment, fixed), "parameter fix"),
         priors=each_once(_read("prior", prior, priors), "parameter prior"),
         oscillator=tuple(value for value in oscillator if value),
-        window=declare(node, "window", FitSettings.window, "longest free response used [s]", 0.3, 60.0),
-        gyroscope_noise=declare(
-            node,
-            "gyroscope_noise",
-            FitSettings.gyroscope_noise,
-            "noise where no message states it [rad/s]",
-            1e-9,
-            10.0,
-        ),
         gyroscope_range=declare(
             node,
             "gyroscope_range",
@@ -92,15 +89,11 @@ def declare_settings(node: Node) -> Settings:
             1000.0,
         )
         or None,
-        slip_window=declare(
-            node,
-            "slip_window",
-            FitSettings.slip_window,
-            "time after a strike in which the front wheel slips [s]",
-            0.0,
-            10.0,
-        ),
         estimators=tuple(declare(node, "estimators", list(FitSettings.estimators), "estimators, in order")),
+        **{
+            name: declare(node, name, getattr(FitSettings, name), what, low, high)
+            for name, (what, low, high) in NUMBERS.items()
+        },
         **{
             name: declare(node, name, getattr(FitSettings, name), f"{what}: {', '.join(choices)}")
             for name, (what, choices) in CHOICES.items()
@@ -138,25 +131,3 @@ def _read(
         return [read(text) for text in texts if text]
     except ArgumentTypeError as error:
         raise ParameterError(f"parameter {name}: {error}") from error
-
-
-def asked_for(base: FitSettings, request: Any) -> FitSettings:
-    """Settings of a request (tms_msgs/srv/Refit, action/FitRecording goal); what it leaves empty is base's.
-
-    Raises ParameterError.
-    """
-    if len(request.fixed_names) != len(request.fixed_values):
-        raise ParameterError(
-            f"fixed_values: expected {len(request.fixed_names)}, one for each of fixed_names, found"
-            f" {len(request.fixed_values)}"
-        )
-    twice = sorted({name for name in request.fixed_names if request.fixed_names.count(name) > 1})
-    if twice:
-        raise ParameterError(f"fixed_names: expected each name once, found {', '.join(twice)} twice")
-    return replace(
-        base,
-        free=tuple(request.free) or base.free,
-        fixed=dict(zip(request.fixed_names, request.fixed_values, strict=True)) or base.fixed,
-        estimators=tuple(request.estimators) or base.estimators,
-        window=request.window or base.window,
-    )
