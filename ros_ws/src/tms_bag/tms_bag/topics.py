@@ -32,3 +32,8 @@ TYPES: dict[str, str] = {
 }
 
 QOS: dict[str, Qos] = {topic: LATCHED if topic == RUN_INFO else SENSOR for topic in TYPES}
+
+
+def qos_of(name: str) -> Qos:
+    """Quality of service of one of these topics, by its full name in the root namespace."""
+    return QOS[name.removeprefix("/")]

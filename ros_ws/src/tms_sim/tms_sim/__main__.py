@@ -114,7 +114,7 @@ def _write(
 ) -> None:
     with BagWriter(arguments.output, custom_data, overwrite=arguments.force, beside=beside) as bag:
         for record in records:
-            bag.write(record, topics.QOS[record.topic.removeprefix("/")])
+            bag.write(record, topics.qos_of(record.topic))
 
 
 if __name__ == "__main__":

@@ -104,6 +104,11 @@ class Row:
         return self.low <= self.truth <= self.high
 
 
+def told(combination: Mapping[str, Any]) -> tuple[str, ...]:
+    """The values of a combination as rows and their file have them."""
+    return tuple(map(str, combination.values()))
+
+
 def ride_all(
     campaign: Campaign, done: Sequence[Row] = (), keep: Callable[[list[Row]], None] = lambda rows: None
 ) -> list[Row]:
@@ -118,7 +123,7 @@ def ride_all(
     seeds = range(campaign.seed, campaign.seed + campaign.runs)
     tasks = list(itertools.product(campaign.combinations, seeds))
     for combination, seed in tqdm(tasks, unit=" runs", leave=False, disable=not sys.stderr.isatty()):
-        rows = known.get((tuple(map(str, combination.values())), seed))
+        rows = known.get((told(combination), seed))
         if rows is None:
             rows = list(ride_one(campaign, combination, seed))
             keep(rows)
@@ -134,13 +139,12 @@ def ride_one(campaign: Campaign, combination: Mapping[str, Any], seed: int) -> I
         path = Path(folder) / "bag"
         with BagWriter(path, custom_data=run.custom_data()) as bag:
             for record in run.records():
-                bag.write(record, topics.QOS[record.topic.removeprefix("/")])
+                bag.write(record, topics.qos_of(record.topic))
         recording = read_recording(path)
         fits = fit_recording(recording, bicycle_of(recording, None), campaign.settings).strikes
-    told = tuple(map(str, combination.values()))
     rows = _judged(run, list(fits), partial(true_time, scenario))
     for number, row in enumerate(rows, start=1):
-        yield Row(told, seed, number, len(rows), **row)
+        yield Row(told(combination), seed, number, len(rows), **row)
 
 
 def true_time(scenario: Scenario, stamp_ns: int) -> float:

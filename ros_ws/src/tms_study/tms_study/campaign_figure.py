@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from tms_study.campaign import Campaign, Row
+from tms_study.campaign import Campaign, Row, told
 from tms_study.campaign_result import Summary
 
 MILLI = 1e3
@@ -18,8 +18,7 @@ def campaign_figure(campaign: Campaign, rows: list[Row], summaries: list[Summary
     figure = Figure(figsize=(max(6.0, 1.5 + 1.1 * len(names)), 5.6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     for k, one in enumerate(summaries):
-        told = tuple(map(str, one.combination.values()))
-        fitted = [row for row in rows if row.combination == told and np.isfinite(row.error)]
+        fitted = [row for row in rows if row.combination == told(one.combination) and np.isfinite(row.error)]
         error = MILLI * np.array([row.error for row in fitted])
         # Spread over the column's width in the order of the seeds, so that no run hides another.
         across = k + np.linspace(-0.3, 0.3, len(error)) if len(error) > 1 else np.full(len(error), float(k))

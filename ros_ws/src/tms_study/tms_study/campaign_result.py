@@ -12,7 +12,7 @@ from tms_fit.settings import DEFAULT_FREE
 
 from tms_study import __version__
 from tms_study.bound import bound, planned
-from tms_study.campaign import Campaign, Row
+from tms_study.campaign import Campaign, Row, told
 
 NOMINAL = 0.95
 
@@ -50,7 +50,7 @@ class Summary:
 def summarise(campaign: Campaign, rows: list[Row]) -> list[Summary]:
     """A summary per combination, in their order."""
     return [
-        _summary(campaign, combination, [r for r in rows if r.combination == _told(combination)])
+        _summary(campaign, combination, [r for r in rows if r.combination == told(combination)])
         for combination in campaign.combinations
     ]
 
@@ -90,10 +90,6 @@ def to_text(campaign: Campaign, summaries: list[Summary]) -> str:
             + ("" if one.honest else "  intervals are not 95 %")
         )
     return "\n".join(lines)
-
-
-def _told(combination: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(map(str, combination.values()))
 
 
 def _summary(campaign: Campaign, combination: dict[str, Any], rows: list[Row]) -> Summary:

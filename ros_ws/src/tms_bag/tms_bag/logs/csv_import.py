@@ -55,7 +55,7 @@ def import_csv(
     )
     with writer:
         for record in log_records(content, info):
-            writer.write(record, topics.QOS[record.topic.removeprefix("/")])
+            writer.write(record, topics.qos_of(record.topic))
     return Import(content, writer.counts)
 
 

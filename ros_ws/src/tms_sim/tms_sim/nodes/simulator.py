@@ -44,7 +44,7 @@ class Simulator(Node):
             record.topic: self.create_publisher(
                 message_class(record.type),
                 record.topic.removeprefix("/"),
-                offered_profile([topics.QOS[record.topic.removeprefix("/")]], 1),
+                offered_profile([topics.qos_of(record.topic)], 1),
                 qos_overriding_options=OVERRIDABLE,
             )
             for record in {record.topic: record for record in self._live.records}.values()
