@@ -26,11 +26,16 @@ def run(
 ) -> int:
     """Run `main(argv)`; return the exit code: 0, or 2 after one line about the bad input.
 
-    Defects keep their traceback.
+    One line, too, where the system refuses: a full disk, a place that may not be written. Defects keep their
+    traceback.
     """
     try:
-        main(argv)
-        sys.stdout.flush()
+        try:
+            main(argv)
+        except SystemExit:  # after --help, too
+            _flush_stdout()
+            raise
+        _flush_stdout()
     except bad_input as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -38,9 +43,27 @@ def run(
         print("interrupted; nothing half-written is left", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output has gone, as in `... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _give_up_stdout()
         return 141
+    except OSError as error:
+        _give_up_stdout()
+        where = error.filename or "standard output or a file takes no more"
+        print(f"error: {where}: {error.strerror or error}", file=sys.stderr)
+        return 2
     return 0
+
+
+def _flush_stdout() -> None:
+    if sys.stdout:  # None where it has been closed, as in `... >&-`
+        sys.stdout.flush()
+
+
+def _give_up_stdout() -> None:
+    """Python writes what is left on stdout when it ends; where that can't be, let it go nowhere."""
+    try:
+        _flush_stdout()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_json(document: dict[str, Any]) -> None:

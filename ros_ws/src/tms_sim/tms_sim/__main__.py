@@ -12,6 +12,7 @@ import numpy as np
 from tms_bag import BagWriter, Record, RecordingError, topics
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run
+from tms_model.whole_file import write_whole
 
 from tms_sim.blind import (
     blind_custom_data,
@@ -19,7 +20,6 @@ from tms_sim.blind import (
     blinded,
     truth_path,
     truth_text,
-    write_truth,
 )
 from tms_sim.fault_command import fault, fault_arguments
 from tms_sim.run import simulate
@@ -94,9 +94,9 @@ def _run(arguments: argparse.Namespace) -> None:
     if truth.exists() and not arguments.force:
         raise RecordingError(f"{truth}: exists already; choose another bag, or replace both with --force")
     if arguments.blind:
-        told, text = blinded(result, scenario), truth_text(result, scenario)
+        told, text = blinded(result, scenario), truth_text(result, scenario).encode()
         _write(
-            arguments, blind_records(told), blind_custom_data(told.info), partial(write_truth, text, truth)
+            arguments, blind_records(told), blind_custom_data(told.info), partial(write_whole, truth, text)
         )
         return
     _write(arguments, result.records(), result.custom_data(), partial(truth.unlink, missing_ok=True))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from tms_bag import Record, RecordingError, topics
+from tms_bag import Record, topics
 from tms_bag.event import events
 from tms_bag.samples import RunInfo
 from tms_model.yaml_text import load_yaml
@@ -63,22 +63,6 @@ def blind_custom_data(info: RunInfo) -> dict[str, str]:
 def truth_text(run: SimulatedRun, scenario: Scenario) -> str:
     """The truth of a run, as JSON."""
     return json.dumps(_document(run, scenario), indent=1, allow_nan=False) + "\n"
-
-
-def write_truth(text: str, path: Path) -> None:
-    """Write the truth of a run to a file, whole or not at all. Raises RecordingError."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())  # the bag's name must not come before its truth
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise RecordingError(
-            f"{path}: expected a place to write the truth to, found: {error.strerror}"
-        ) from error
 
 
 def _document(run: SimulatedRun, scenario: Scenario) -> dict[str, Any]:

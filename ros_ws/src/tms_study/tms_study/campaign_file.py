@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tms_bag import RecordingError
+from tms_model.whole_file import write_whole
 
 from tms_study.campaign import Campaign, Row
 
@@ -23,7 +24,8 @@ TEXTS, WHOLE = ("status",), ("seed", "number", "of")
 class CampaignFile:
     """Rows on the disk.
 
-    Raises RecordingError for a file of something else, or of a campaign with other settings.
+    Raises RecordingError for a file of something else, or of a campaign with other settings; ParameterError
+    for a place that can't be written.
     """
 
     def __init__(self, path: Path, campaign: Campaign) -> None:
@@ -32,14 +34,20 @@ class CampaignFile:
         if not path.absolute().parent.is_dir():
             raise RecordingError(f"-o: expected a file in a folder that exists, found {path}")
         self.rows = self._read() if path.exists() else []
-        self._write([self._header, *map(self._cells, self.rows)])
+        write_whole(path, _text([self._header, *map(self._cells, self.rows)]).encode())
 
     def add(self, rows: list[Row]) -> None:
-        """Append the rows of a run; they are on the disk when this returns."""
-        with self._path.open("a", encoding="utf-8", newline="") as stream:
-            stream.write(_text(map(self._cells, rows)))
-            stream.flush()
-            os.fsync(stream.fileno())
+        """Append the rows of a run; they are on the disk when this returns. Raises RecordingError if not."""
+        try:
+            with self._path.open("a", encoding="utf-8", newline="") as stream:
+                stream.write(_text(map(self._cells, rows)))
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise RecordingError(
+                f"{self._path}: can't be written any further ({error.strerror}); make room, and the same"
+                " command goes on from here"
+            ) from error
 
     def _read(self) -> list[Row]:
         """The rows of all runs that were written to their end."""
@@ -89,16 +97,6 @@ class CampaignFile:
             *row.combination,
             *("" if isinstance(value, float) and math.isnan(value) else str(value) for value in values),
         ]
-
-    def _write(self, lines: list[list[str]]) -> None:
-        part = self._path.with_name(f".{self._path.name}.{os.getpid()}.part")
-        try:
-            part.write_text(_text(lines), encoding="utf-8", newline="")
-            part.replace(self._path)
-        except OSError as error:
-            raise RecordingError(
-                f"{self._path}: expected a place to write a file, found: {error.strerror}"
-            ) from error
 
 
 def _text(lines: object) -> str:

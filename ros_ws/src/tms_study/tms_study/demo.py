@@ -22,6 +22,7 @@ from tms_fit.running.live import INPUTS
 from tms_fit.settings import FitSettings
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure
+from tms_model.whole_file import write_whole
 
 from tms_study.processes import NodeProcess, own_domain
 
@@ -45,7 +46,7 @@ def demo(output: Path, scenario: str, seed: int) -> str:
         recording = read_recording(folder / "bag")
         fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
         document = {**to_json(fit), "bag": str(output / "bag")}
-        (folder / "estimate.json").write_text(json.dumps(finite(document), indent=1) + "\n")
+        write_whole(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
         save_figure(figure_3b(fit), folder / "figure_3b.png")
         live = _live_estimates(folder / "live")
     return _table(fit, live, output)

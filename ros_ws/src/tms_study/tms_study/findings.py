@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tms_model.whole_file import write_whole
+
 from tms_study import __version__
 
 
@@ -61,7 +63,7 @@ def findings_text(found: list[Finding]) -> str:
 
 
 def write_markdown(path: Path, found: list[Finding], seed: int, quick: bool) -> None:
-    """The table as a Markdown file."""
+    """The table as a Markdown file. Raises ParameterError for a place that can't be written."""
     command = "./tms study validate" + (" --quick" if quick else "") + f" --seed {seed} -o {path.name}"
     lines = [
         "# Validation",
@@ -79,6 +81,4 @@ def write_markdown(path: Path, found: list[Finding], seed: int, quick: bool) -> 
             f"| {one.topic} | {one.figure} | {one.value:.4g} | {one.low:g} to {one.high:g} | {one.runs} |"
             f" {mark} |"
         )
-    part = path.with_name(path.name + ".part")  # nothing half-written is left under the real name
-    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_whole(path, ("\n".join(lines) + "\n").encode())

@@ -27,7 +27,7 @@ class McapFile:
         self.message_count = 0
         self.time_range: tuple[int, int] | None = None  # earliest and latest log time [ns]
         self._chunked = preset.chunk_size > 0
-        self._failure: OSError | None = None
+        self.failure: OSError | None = None  # of the system, while something was written
         self._closing = Lock()  # a descriptor that is closed may be another file's a moment later
         self._pending = 0  # [bytes] in the chunk that isn't complete yet
         self._channels: dict[str, int] = {}
@@ -59,7 +59,7 @@ class McapFile:
         try:
             self._mcap.add_message(self._channels[record.topic], record.time_ns, record.data, sent)
         except OSError as error:
-            self._failure = error
+            self.failure = error
             raise
         if self._chunked:
             self._pending += len(record.data) + MESSAGE_OVERHEAD
@@ -76,7 +76,7 @@ class McapFile:
         try:
             self._mcap.flush()
         except OSError as error:
-            self._failure = error
+            self.failure = error
             raise
         self._pending = 0
 
@@ -89,15 +89,15 @@ class McapFile:
         try:
             os.fsync(handle)
         except OSError as error:
-            self._failure = error
+            self.failure = error
             raise
         finally:
             os.close(handle)
 
     def finish(self, text: str) -> None:
         """Write metadata and summary, bring all to the disk, close. OSError if something was not taken."""
-        if self._failure:
-            raise self._failure
+        if self.failure:
+            raise self.failure
         self.add_metadata(text)
         self._mcap.finish()
         self._file.flush()

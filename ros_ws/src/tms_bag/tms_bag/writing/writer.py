@@ -41,8 +41,9 @@ NEVER = Splitting()
 class BagWriter:
     """Writes a bag; use it as a context manager.
 
-    Written beside `path` and renamed to it at a clean end: after an exception nothing is left. With `live` it
-    is written in place, and kept as far as it got whatever happens; `flush` then bounds what can be lost.
+    Written beside `path` and renamed to it at a clean end: after an exception nothing is left; RecordingError
+    where the system takes no more. With `live` it is written in place, and kept as far as it got whatever
+    happens: OSError where the system takes no more; `flush` bounds what can be lost.
     RecordingError if `path` exists; with `overwrite` an existing bag (and nothing but a bag) is replaced,
     with `keep_old_as` whatever is there is moved to that path. `preset` is one of PRESETS. `beside` is called
     when the bag is complete, before it stands at `path`, while nothing else does: whatever belongs beside a
@@ -86,7 +87,12 @@ class BagWriter:
 
     def __enter__(self) -> BagWriter:
         self._folder = self._destination.create()
-        self._file = self._next_file()
+        try:
+            self._file = self._next_file()
+        except BaseException as error:
+            self._destination.discard()
+            self._tell_if_refused(error)
+            raise
         return self
 
     def __exit__(
@@ -95,15 +101,18 @@ class BagWriter:
         if kind is not None and not self.live:
             self._file.abandon()
             self._destination.discard()
+            if error is self._file.failure:
+                self._tell_if_refused(error)
             return
         try:
             self._finish_file()
             text = metadata.to_text({metadata.ROOT: self._information()})
             write_at_once(self._folder / metadata.FILE_NAME, text)
-        except BaseException:
+        except BaseException as error:
             self._file.abandon()
             if not self.live:
                 self._destination.discard()
+                self._tell_if_refused(error)
             raise
         self._destination.keep(self._beside)
 
@@ -178,6 +187,14 @@ class BagWriter:
     def _finish_file(self) -> None:
         self._file.finish(metadata.to_text(self._information(self._file)))
         self._files.append(_information_of(self._file))
+
+    def _tell_if_refused(self, error: BaseException | None) -> None:
+        """RecordingError instead of what the system says, which doesn't name the bag."""
+        if isinstance(error, OSError):
+            raise RecordingError(
+                f"{self.path}: can't be written ({error.strerror}), and nothing of it is left; make room or"
+                " choose another place for the bag"
+            ) from error
 
     def _information(self, current: McapFile | None = None) -> dict[str, Any]:
         files = self._files + ([_information_of(current)] if current else [])

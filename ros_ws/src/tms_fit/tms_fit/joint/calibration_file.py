@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tms_model import ParameterError
 from tms_model.calibrated import Calibrated, calibration_yaml, yaml_text
+from tms_model.whole_file import write_whole
 
 import tms_fit
 from tms_fit.joint.calibration import Calibration
@@ -84,14 +83,4 @@ def write_calibration(
     """
     if parent.endswith((".yaml", ".yml", ".txt")):
         parent = os.path.relpath(parent, path.parent)
-    text = yaml_text(document_of(calibration, parent, command, recordings))
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
-    except OSError as error:
-        raise ParameterError(f"{path}: expected a place to write to, found: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
+    write_whole(path, yaml_text(document_of(calibration, parent, command, recordings)).encode())

@@ -9,7 +9,7 @@ from typing import Any
 
 import vl_convert
 from tms_model import ParameterError
-from tms_model.figures.saving import write_whole
+from tms_model.whole_file import write_whole
 from tqdm import tqdm
 
 from tms_fit.offline import RecordingFit

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from tms_model.parameters import ParameterError
+from tms_model.whole_file import write_whole
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -23,20 +22,3 @@ def save_figure(figure: Figure, path: Path) -> None:
     drawn = io.BytesIO()
     figure.savefig(drawn, format=kind, dpi=150)
     write_whole(path, drawn.getvalue())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that appears whole or not at all; folders above it are made.
-
-    Raises ParameterError for a place that can't be written.
-    """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(content)
-        unfinished.replace(path)
-    except OSError as error:
-        raise ParameterError(f"{path}: expected a place to write a file, found: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
