@@ -118,13 +118,19 @@ def _event_definition(type_name: str, text: str) -> str:
 
 
 def _complete(type_name: str, found: Fields) -> Fields:
-    """The type and all types in it, those that the bag doesn't define as installed. KeyError if unknown."""
-    whole: dict[str, object] = {}
+    """The type and all types in it, those that the bag doesn't define as installed.
+
+    KeyError if one is unknown, ValueError if one has two fields of the same name.
+    """
+    whole: dict[str, Any] = {}
     waiting = [type_name]
     while waiting:
         name = waiting.pop()
         if name in whole:
             continue
         whole[name] = found[name] if name in found else messages.all_fields(name)[name]
+        names = [field for field, _ in whole[name][1]]
+        if len(set(names)) < len(names):
+            raise ValueError(f"{name} has two fields of the same name")
         waiting += messages.types_in(whole[name])
     return whole
