@@ -1,5 +1,8 @@
 """The command line of ./tms, in the built workspace that the tests themselves run in."""
 
+import fcntl
+import os
+import signal
 import subprocess
 from pathlib import Path
 
@@ -98,3 +101,21 @@ def test_a_file_beside_the_user_is_not_taken_for_a_python_module(tmp_path):
     done = tms("model", "list", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "benchmark" in done.stdout
+
+
+def test_ctrl_c_while_python_imports_ends_a_tool_without_a_traceback(tmp_path):
+    # Python says what it imports, into a pipe that takes no more after a while: there it waits to be interrupted.
+    said, saying = os.pipe()
+    fcntl.fcntl(saying, fcntl.F_SETPIPE_SZ, 4096)
+    environment = {**os.environ, "PYTHONPROFILEIMPORTTIME": "1"}
+    tool = subprocess.Popen(
+        [TMS, "fit", "run", "--help"], cwd=tmp_path, env=environment, stderr=saying, stdout=subprocess.DEVNULL
+    )
+    os.close(saying)
+    with open(said, encoding="utf-8") as stream:
+        lines = iter(stream.readline, "")
+        assert any("| numpy" in line or "|   numpy" in line for line in lines)
+        tool.send_signal(signal.SIGINT)
+        rest = "".join(lines)
+    assert tool.wait(timeout=600) == -signal.SIGINT
+    assert "Traceback" not in rest

@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -29,6 +30,8 @@ def run(
     One line, too, where the system refuses: a full disk, a place that may not be written. Defects keep their
     traceback.
     """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # ./tms lets it end the imports
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         try:
             main(argv)
