@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
+from tms_bag import read_recording
 from tms_fit.criticism.hypotheses import impulse_ratio, verdicts
 from tms_fit.criticism.residuals import criticise, fisher_g, fit_percent, ljung_box, nis_band
+from tms_fit.criticism.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.settings import DEFAULT_FREE, FitSettings
+from tms_fit.settings import CHANNELS, DEFAULT_FREE, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 
+BAGS = Path(__file__).parents[2] / "bags"
 SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore")
 
 
@@ -80,10 +86,65 @@ def test_nothing_speaks_against_the_right_model() -> None:
     alarms = 0
     for seed in range(60):
         window = made(seed)
-        found = criticise(window, fit_window(window, SETTINGS), stated_std=0.02)
+        found = criticise(
+            window, fit_window(window, SETTINGS), StatedNoise(dict.fromkeys(CHANNELS, 0.02), "noise_std")
+        )
         assert len(found.tests) == 8
         alarms += sum(not test.passed for test in found.tests)
     assert alarms < 5
+
+
+def test_reduced_chi_square_is_one_where_the_noise_is_as_stated() -> None:
+    # 120 runs of some 150 squares each: their mean is 1 within 0.0105.
+    stated = StatedNoise({"lean_rate": 0.02, "yaw_rate": 0.02}, "noise_std")
+    found = [
+        criticise(made(seed), fit_window(made(seed), SETTINGS), stated).reduced_chi_square
+        for seed in range(120)
+    ]
+    for channel in CHANNELS:
+        assert np.mean([one[channel] for one in found]) == pytest.approx(1.0, abs=0.03)
+    quiet = criticise(made(3), fit_window(made(3), SETTINGS))
+    assert quiet.reduced_chi_square == {}
+    assert "not stated" in quiet.size
+
+
+def test_the_stated_noise_is_that_of_the_axes_that_enter() -> None:
+    recording = read_recording(BAGS / "tms_strike")
+    assert recording.run_info is not None
+    # Turned by 90 degrees about the upward axis, the sensor's y is the bicycle's x.
+    turned = replace(
+        recording,
+        run_info=replace(
+            recording.run_info, imu_orientation=np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+        ),
+        imu=replace(recording.imu, angular_velocity_variance=np.array([np.nan, 0.01**2, 0.03**2])),
+    )
+    found = stated_noise(turned, FitSettings())
+    assert found is not None
+    assert found.std == pytest.approx({"lean_rate": 0.01, "yaw_rate": 0.03})
+    unknown = replace(recording, imu=replace(recording.imu, angular_velocity_variance=np.full(3, np.nan)))
+    assert stated_noise(unknown, FitSettings()) is None
+    assert stated_noise(unknown, FitSettings(noise_std=0.5)) == StatedNoise(
+        {"lean_rate": 0.5, "yaw_rate": 0.5}, "noise_std"
+    )
+
+
+def test_the_command_line_tells_the_size_of_the_residuals(command: Any, refused: Any) -> None:
+    bag = BAGS / "tms_strike"
+    document = json.loads(command("tms_fit", "run", bag, "--json").out)
+    for estimate in document["strikes"][0]["estimates"]:
+        told = estimate["criticism"]
+        assert told["stated_noise"]["by"] == "recording"
+        assert 0.6 < told["reduced_chi_square"]["lean_rate"] < 1.5
+    stated = told["stated_noise"]["std"]["lean_rate"]
+    half = json.loads(command("tms_fit", "run", bag, "--noise-std", str(stated / 2.0), "--json").out)
+    last = half["strikes"][0]["estimates"][-1]["criticism"]
+    assert last["reduced_chi_square"]["lean_rate"] == pytest.approx(
+        4.0 * told["reduced_chi_square"]["lean_rate"]
+    )
+    assert "larger than the stated noise allows" in last["verdict"]
+    assert "reduced chi-square: " in command("tms_fit", "run", bag).out
+    assert "noise std: expected a positive number" in refused("tms_fit", "run", bag, "--noise-std", "-1")
 
 
 def test_each_flaw_is_named() -> None:
@@ -94,7 +155,9 @@ def test_each_flaw_is_named() -> None:
     found = criticise(wave, estimate)
     assert any("a shimmy of 19.9 Hz" in t.sentence or "a shimmy of 20" in t.sentence for t in found.tests)
     assert "shimmy" in found.verdict
-    loud = criticise(window, fit_window(window, SETTINGS), stated_std=0.01)
+    loud = criticise(
+        window, fit_window(window, SETTINGS), StatedNoise(dict.fromkeys(CHANNELS, 0.01), "noise_std")
+    )
     assert {test.name for test in loud.tests if not test.passed} == {"chi_square"}
     spikes = window.lean_rate.copy()
     spikes[::30] += 0.3

@@ -203,6 +203,13 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
         " (default %(default)s)",
     )
     command.add_argument(
+        "--noise-std",
+        type=float,
+        metavar="RATE",
+        help="[rad/s] of one sample, that the residuals are compared with: reduced chi-square (default: what"
+        " the covariance in the IMU's messages says); no estimate depends on it",
+    )
+    command.add_argument(
         "--oscillator",
         type=numbers,
         default=FitSettings.oscillator,
@@ -266,6 +273,7 @@ def _fit(
         resistance=arguments.resistance,
         channels=arguments.channels,
         noise=arguments.noise,
+        noise_std=arguments.noise_std,
         oscillator=arguments.oscillator,
         loss=arguments.loss,
         gyroscope_range=arguments.gyroscope_range,

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from typing import Any
 
 from tms_fit.criticism.scrutiny import criticism_json, scrutiny_json, scrutiny_lines
+from tms_fit.criticism.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.answer import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
@@ -21,11 +22,12 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
     asked: what else is wanted of each strike, of tms_fit.criticism.scrutiny.ASKED.
     """
     start_ns = first_stamp(fit.recording)
+    stated = stated_noise(fit.recording, fit.settings)
     return {
         "bag": str(fit.recording.path),
         "bicycle": fit.bicycle.name,
         "start_ns": start_ns,
-        "strikes": [_strike(one, fit.settings, asked) for one in fit.strikes],
+        "strikes": [_strike(one, fit.settings, asked, stated) for one in fit.strikes],
         "settings": {
             "free": list(fit.settings.free) if fit.settings.free else None,
             "fixed": dict(fit.settings.fixed),
@@ -34,6 +36,7 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
             "resistance": fit.settings.resistance,
             "channels": list(fit.settings.channels),
             "noise": fit.settings.noise,
+            "noise_std": fit.settings.noise_std,
             "oscillator": list(fit.settings.oscillator),
             "loss": fit.settings.loss,
             "gyroscope_range": fit.settings.gyroscope_range,
@@ -52,7 +55,9 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
     }
 
 
-def _strike(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> dict[str, Any]:
+def _strike(
+    fit: StrikeFit, settings: FitSettings, asked: Collection[str], stated: StatedNoise | None
+) -> dict[str, Any]:
     window = fit.window
     return {
         "time_ns": fit.start_ns,
@@ -64,7 +69,7 @@ def _strike(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> di
         "speed": window.start_speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [
-            {**_estimate(one), "criticism": criticism_json(window, one) if window else None}
+            {**_estimate(one), "criticism": criticism_json(window, one, stated) if window else None}
             for one in fit.estimates
         ],
         **scrutiny_json(fit, settings, asked),
@@ -133,9 +138,10 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
     lines.extend(_reasons(fit))
+    stated = stated_noise(fit.recording, fit.settings)
     for one in fit.strikes:
         when = (one.start_ns - first_stamp(fit.recording)) / 1e9
-        lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked))
+        lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked, stated))
     if any(line.endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:

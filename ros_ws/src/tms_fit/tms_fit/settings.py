@@ -67,6 +67,7 @@ class FitSettings:
     slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
     slip: str = "leave_out"  # what is done with that time, of SLIPS
     intervals: str = "wald"  # how 95 % intervals are found, of INTERVALS
+    noise_std: float | None = None  # [rad/s] of one sample, to compare residuals with; None: as recorded
     filter: str = "linear"  # that runs along, of FILTERS: the speed is given, or estimated with C_r
     estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
 
@@ -107,6 +108,8 @@ class FitSettings:
             )
         self._check_saturation()
         self._check_oscillator()
+        if self.noise_std is not None and not (math.isfinite(self.noise_std) and self.noise_std > 0.0):
+            raise ParameterError(f"noise std: expected a positive number of rad/s, found {self.noise_std:g}")
         if not (math.isfinite(self.gyroscope_noise) and self.gyroscope_noise > 0.0):
             raise ParameterError(
                 f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 from tms_model.bicycle import Array
 
+from tms_fit.criticism.stated_noise import StatedNoise
 from tms_fit.estimate import Estimate
 from tms_fit.settings import CHANNELS
 from tms_fit.window import Window
@@ -51,6 +52,22 @@ class Criticism:
 
     tests: tuple[ResidualTest, ...]
     fit_percent: dict[str, float]  # per channel, NRMSE: 100 is perfect, 0 no better than the mean
+    stated: StatedNoise | None = None  # None: nobody states the noise, so that no residual is too large
+
+    @property
+    def reduced_chi_square(self) -> dict[str, float]:
+        """Mean square of the residuals per stated variance, by channel; empty where nobody states it."""
+        return {test.channel: test.statistic for test in self.tests if test.name == "chi_square"}
+
+    @property
+    def size(self) -> str:
+        """One sentence over the size of the residuals."""
+        if self.stated is None:
+            return "reduced chi-square: the noise is not stated; --noise-std RATE [rad/s] states it"
+        found = ", ".join(
+            f"{value:.2f} ({name.replace('_', ' ')})" for name, value in self.reduced_chi_square.items()
+        )
+        return f"reduced chi-square: {found or 'too few samples'}, for a noise of {self.stated.in_words}"
 
     @property
     def verdict(self) -> str:
@@ -61,15 +78,16 @@ class Criticism:
         return "; ".join(failed) if failed else "nothing in the residuals speaks against the model"
 
 
-def criticise(window: Window, estimate: Estimate, stated_std: float | None = None) -> Criticism:
+def criticise(window: Window, estimate: Estimate, stated: StatedNoise | None = None) -> Criticism:
     """Tests of an estimate's residuals; none where it has no values.
 
-    stated_std [rad/s]: standard deviation of one sample's noise as the recording or somebody states it.
+    stated: one sample's noise as the recording or somebody states it; without, their size is not judged.
     """
     tests: list[ResidualTest] = []
     if estimate.names:
-        for channel, whitened, residual in zip(
-            CHANNELS, estimate.whitened.T, estimate.residual.T, strict=True
+        fitted = _fitted(estimate)
+        for channel, whitened, residual, unknowns in zip(
+            CHANNELS, estimate.whitened.T, estimate.residual.T, fitted, strict=True
         ):
             if np.isfinite(whitened).sum() >= LEAST:
                 tests += [
@@ -77,9 +95,9 @@ def criticise(window: Window, estimate: Estimate, stated_std: float | None = Non
                     _tone(channel, window.time, whitened),
                     _normal(channel, whitened),
                 ]
-                if stated_std:
-                    tests.append(_size(channel, residual, stated_std, len(estimate.names)))
-    return Criticism(tuple(tests), fit_percent(window, estimate) if estimate.names else {})
+                if stated is not None and channel in stated.std:
+                    tests.append(_size(channel, residual, stated.std[channel], unknowns))
+    return Criticism(tuple(tests), fit_percent(window, estimate) if estimate.names else {}, stated)
 
 
 def ljung_box(values: Array, lags: int) -> tuple[float, float]:
@@ -187,9 +205,21 @@ def _normal(channel: str, values: Array) -> ResidualTest:
     return ResidualTest("normality", channel, statistic, p, said)
 
 
-def _size(channel: str, residual: Array, std: float, unknowns: int) -> ResidualTest:
+def _fitted(estimate: Estimate) -> list[float]:
+    """How many unknowns the samples of each channel pay for: traces of the hat matrix, their sum is all."""
+    good = np.isfinite(estimate.residual)
+    if not estimate.jacobian.size:
+        return [len(estimate.names) / max(int(good.any(axis=0).sum()), 1)] * len(CHANNELS)
+    basis, _ = np.linalg.qr(estimate.jacobian[good])
+    share = np.zeros(good.shape)
+    share[good] = np.sum(basis**2, axis=1)
+    found: list[float] = share.sum(axis=0).tolist()
+    return found
+
+
+def _size(channel: str, residual: Array, std: float, unknowns: float) -> ResidualTest:
     good = residual[np.isfinite(residual)]
-    degrees = max(len(good) - unknowns, 1)
+    degrees = max(len(good) - unknowns, 1.0)
     reduced = float(np.sum(good**2)) / std**2 / degrees
     p = float(stats.chi2.sf(reduced * degrees, degrees))
     name = channel.replace("_", " ")

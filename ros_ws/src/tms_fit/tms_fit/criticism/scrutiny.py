@@ -10,6 +10,7 @@ from tms_fit.criticism.budget import Budget, error_budget
 from tms_fit.criticism.doubt import Doubt, doubt
 from tms_fit.criticism.hypotheses import Verdict, verdicts
 from tms_fit.criticism.residuals import criticise
+from tms_fit.criticism.stated_noise import StatedNoise
 from tms_fit.estimate import Estimate
 from tms_fit.running.online import StrikeFit
 from tms_fit.settings import FitSettings
@@ -33,8 +34,10 @@ def scrutiny_json(fit: StrikeFit, settings: FitSettings, asked: Collection[str])
     return found
 
 
-def scrutiny_lines(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> list[str]:
-    """The same as lines of text."""
+def scrutiny_lines(
+    fit: StrikeFit, settings: FitSettings, asked: Collection[str], stated: StatedNoise | None
+) -> list[str]:
+    """The same as lines of text, and how large the residuals are for the noise that somebody states."""
     lines: list[str] = []
     if fit.window is None:
         return lines
@@ -43,8 +46,11 @@ def scrutiny_lines(fit: StrikeFit, settings: FitSettings, asked: Collection[str]
     about = _doubt_of(fit, settings)
     if about:
         lines.append(about.sentence)
+    criticism = criticise(fit.window, fit.estimates[0], stated)
+    if fit.estimates[0].names:
+        lines.append(criticism.size)
     if "hypotheses" in asked:
-        lines.append(criticise(fit.window, fit.estimates[0]).verdict)
+        lines.append(criticism.verdict)
         lines.extend(verdict.sentence for verdict in verdicts(fit.window, settings))
     budget = _budget_of(fit, settings) if "budget" in asked else None
     if budget:
@@ -52,12 +58,14 @@ def scrutiny_lines(fit: StrikeFit, settings: FitSettings, asked: Collection[str]
     return lines
 
 
-def criticism_json(window: Window, estimate: Estimate) -> dict[str, Any]:
+def criticism_json(window: Window, estimate: Estimate, stated: StatedNoise | None) -> dict[str, Any]:
     """What the residuals say about the model."""
-    found = criticise(window, estimate)
+    found = criticise(window, estimate, stated)
     return {
         "verdict": found.verdict,
         "fit_percent": found.fit_percent,
+        "stated_noise": {"std": stated.std, "by": stated.by} if stated else None,
+        "reduced_chi_square": found.reduced_chi_square or None,
         "tests": [
             {
                 "name": one.name,

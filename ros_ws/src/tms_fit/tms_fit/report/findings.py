@@ -85,6 +85,6 @@ def criticism_table(criticism: Criticism) -> Element | None:
     return element(
         "section",
         element("h3", "What the residuals say"),
-        element("p", f"{verdict} Fit (NRMSE): {shares}."),
+        element("p", f"{verdict} Fit (NRMSE): {shares}. {as_sentence(criticism.size)}"),
         table(head, rows, class_="criticism"),
     )

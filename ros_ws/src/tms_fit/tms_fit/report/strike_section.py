@@ -10,6 +10,7 @@ from tms_fit.comparison import Comparison, comparison, first_good, source_of
 from tms_fit.criticism.budget import error_budget
 from tms_fit.criticism.hypotheses import verdicts
 from tms_fit.criticism.residuals import criticise
+from tms_fit.criticism.stated_noise import stated_noise
 from tms_fit.least_squares.motion import motion
 from tms_fit.offline import RecordingFit
 from tms_fit.report import datasets
@@ -55,7 +56,7 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
         charts = (*charts, budget_chart(data["effects"]["name"]))
     motions = _motions(fit, both)
     tables = [parameter_table(both.estimate)]
-    judged = criticism_table(criticise(both.used, both.estimate))
+    judged = criticism_table(criticise(both.used, both.estimate, stated_noise(fit.recording, settings)))
     told = hypotheses_table(verdicts(both.used, settings))
     spent = budget_table(budget) if budget is not None else None
     tables += [one for one in (judged, told, spent) if one is not None]
