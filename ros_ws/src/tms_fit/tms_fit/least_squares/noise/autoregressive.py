@@ -12,6 +12,7 @@ grid with a flat prior in artanh r. Higher coefficients are Burg's, their number
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,40 +50,68 @@ class ProcessFamily:
         return ProcessNoise(one.process, std, one.places, one.count)
 
 
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What the noise of one channel may be."""
+
+    first: Array  # (g,) reflection coefficients of order one that are tried, ascending; (0,): white noise
+    further: Array  # (p - 1,) those of higher orders
+
+    def within(self, low: float, high: float) -> Candidates:
+        """As many between two values of artanh of the first coefficient."""
+        around = np.clip(np.linspace(low, high, len(PLACES)), -LIMIT, LIMIT)
+        return Candidates(np.unique(np.tanh(around)), self.further)
+
+
 def fit(time: Array, residual: Array, jacobian: Array) -> Coloured:
     """The noise that residuals (n, 2) show, whose fit had the derivatives (n, 2, p)."""
     good = np.isfinite(residual)
-    places = grid_places(time)
-    families = {
-        c: _family(places[good[:, c]], residual[good[:, c], c]) for c in range(2) if good[:, c].sum() > 2
-    }
-    return coloured(families, good, residual, jacobian)
+    channels = [c for c in range(2) if good[:, c].sum() > 2]
+    found = {c: candidates([residual[good[:, c], c]]) for c in channels}
+    return coloured(families(time, good, found), good, residual, jacobian)
 
 
-def remembers(residual: Array) -> bool:
-    """Whether residuals (n, 2) of some channel are no white noise: BIC falls by more than CLEAR."""
-    for channel in residual.T:
-        values = channel[np.isfinite(channel)]
-        if len(values) > 2 and values.any():
-            reflections, std = burg(values)
-            fall = -len(values) * math.log(std**2 / float(np.mean(values**2)))
-            if fall - len(reflections) * math.log(len(values)) > CLEAR:
+def remembers(*residuals: Array) -> bool:
+    """Whether residuals (n, 2) of some channel, of one run or several, are no white noise.
+
+    They are not when BIC falls by more than CLEAR.
+    """
+    for c in range(2):
+        segments = [residual[np.isfinite(residual[:, c]), c] for residual in residuals]
+        segments = [values for values in segments if len(values) > 2 and values.any()]
+        if segments:
+            reflections, std = burg(*segments)
+            count = sum(len(values) for values in segments)
+            fall = -count * math.log(std**2 / float(np.mean(np.concatenate(segments) ** 2)))
+            if fall - len(reflections) * math.log(count) > CLEAR:
                 return True
     return False
 
 
-def _family(places: NDArray[np.int_], residual: Array) -> ProcessFamily:
-    """What a channel's noise may be: one member if it shows no memory at all."""
-    grid = places - places[0]
-    reflections, _ = burg(residual)
+def candidates(residuals: Sequence[Array]) -> Candidates:
+    """What the noise of a channel may be, by its residuals (n,) in each run; white if they show no memory.
+
+    As wide as one run leaves it: the fit of each run makes its residuals remember less than the noise does.
+    """
+    reflections, _ = burg(*residuals)
     if not len(reflections):
-        return ProcessFamily((ProcessNoise(process(reflections), 1.0, grid, int(grid[-1]) + 1),))
+        return Candidates(reflections, reflections)
     first = float(np.clip(reflections[0], -0.99, 0.99))
-    std = 1.0 / math.sqrt(len(residual) * (1.0 - first**2))
+    count = sum(len(values) for values in residuals) / len(residuals)
+    std = 1.0 / math.sqrt(count * (1.0 - first**2))
     around = np.clip(math.atanh(first) + std * PLACES, -LIMIT, LIMIT)
-    return ProcessFamily(
-        tuple(
-            ProcessNoise(process(np.append(one, reflections[1:])), 1.0, grid, int(grid[-1]) + 1)
-            for one in np.unique(np.tanh(around))
-        )
-    )
+    return Candidates(np.unique(np.tanh(around)), reflections[1:])
+
+
+def families(
+    time: Array, good: NDArray[np.bool_], found: Mapping[int, Candidates]
+) -> dict[int, ProcessFamily]:
+    """The candidates of each channel at the samples of a run: times (n,), measured (n, 2)."""
+    places = grid_places(time)
+    return {c: _family(places[good[:, c]], one) for c, one in found.items() if good[:, c].sum() > 2}
+
+
+def _family(places: NDArray[np.int_], found: Candidates) -> ProcessFamily:
+    grid = places - places[0]
+    orders = [np.append(one, found.further) for one in found.first] or [found.further]
+    return ProcessFamily(tuple(ProcessNoise(process(one), 1.0, grid, int(grid[-1]) + 1) for one in orders))

@@ -9,10 +9,11 @@ oscillation has white noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 from tms_fit.least_squares.noise.coloured import Coloured, coloured
@@ -24,6 +25,7 @@ STRENGTHS = np.geomspace(0.1, 30.0, 6)  # of the oscillation per white noise
 PLACES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 ZOOMS = 3  # from one grid to the next
 PEAKS = np.linspace(-0.6, 0.6, 3)  # frequencies around the periodogram's peak, per its resolution
+WHITE = np.array([[SLOWEST, 1.0, 0.0]])  # candidate without oscillation
 UNKNOWNS = 3  # of an oscillator, that white noise doesn't have
 
 
@@ -33,38 +35,55 @@ def fit(time: Array, residual: Array, jacobian: Array, stated: Sequence[float] =
     stated: frequency [Hz], decay time [s] and deviation [rad/s] of the oscillator, as many as are known.
     """
     good = np.isfinite(residual)
-    families = {
-        c: _family(time[good[:, c]], residual[good[:, c], c], stated)
+    found = {
+        c: candidates([time[good[:, c]]], [residual[good[:, c], c]], stated)
         for c in range(2)
         if good[:, c].sum() > 2
     }
-    return coloured(families, good, residual, jacobian)
+    return coloured(families(time, good, found), good, residual, jacobian)
 
 
-def _family(time: Array, residual: Array, stated: Sequence[float]) -> Oscillations:
-    """What a channel's noise may be: one member, white, if that is likelier than the best oscillator."""
-    white = Oscillations(time, np.array([SLOWEST]), np.ones(1), np.zeros(1))
-    peak = _peak(time, residual)
-    if not residual.any() or (peak is None and not stated):
-        return white
-    axes = _coarse(time, residual, peak or SLOWEST, stated)
-    candidates = _grid(time, axes)
-    least = _log_likelihoods(white, residual)[0] + 0.5 * UNKNOWNS * math.log(len(time))
-    for _ in range(ZOOMS):
-        likely = _log_likelihoods(candidates, residual)
+def candidates(times: Sequence[Array], residuals: Sequence[Array], stated: Sequence[float] = ()) -> Array:
+    """What the noise of a channel may be, by its residuals (n,) at times (n,) in each run.
+
+    Rows (g, 3) of frequency [Hz], decay time [s] and strength per white noise; one with strength 0, white, if
+    that is likelier than the best oscillator.
+    """
+    together = np.concatenate(residuals)
+    peak = _peak(times, residuals)
+    if not together.any() or (peak is None and not stated):
+        return WHITE
+    longest = max(float(time[-1] - time[0]) for time in times)
+    axes = _coarse(longest, together, peak or SLOWEST, stated)
+    grid = _grid(axes)
+    least = _log_likelihoods(WHITE, times, residuals)[0] + 0.5 * UNKNOWNS * math.log(len(together))
+    zooms = ZOOMS + round(0.5 * math.log2(len(times)))  # the more runs, the closer together
+    for _ in range(zooms):
+        likely = _log_likelihoods(grid, times, residuals)
         best = int(likely.argmax())
-        centre = candidates.frequency[best], candidates.decay_time[best], candidates.ratio[best]
         wider, axes = (
-            [_places(axis, one, k == 0, far) for k, (axis, one) in enumerate(zip(axes, centre, strict=True))]
+            [
+                _places(axis, one, k == 0, far)
+                for k, (axis, one) in enumerate(zip(axes, grid[best].tolist(), strict=True))
+            ]
             for far in (2.0, 1.0)
         )
-        candidates = _grid(time, axes)
-    return _grid(time, wider) if likely[best] > least else white
+        grid = _grid(axes)
+    return _grid(wider) if likely[best] > least else WHITE
 
 
-def _coarse(time: Array, residual: Array, peak: float, stated: Sequence[float]) -> list[Array]:
+def families(time: Array, good: NDArray[np.bool_], found: Mapping[int, Array]) -> dict[int, Oscillations]:
+    """The candidates of each channel at the samples of a run: times (n,), measured (n, 2)."""
+    return {c: _family(time[good[:, c]], one) for c, one in found.items() if good[:, c].sum() > 2}
+
+
+def _family(time: Array, found: Array) -> Oscillations:
+    return Oscillations(time, *found.T)
+
+
+def _coarse(longest: float, residual: Array, peak: float, stated: Sequence[float]) -> list[Array]:
     """Values of frequency, decay time and strength to begin with; one of each that is stated."""
-    resolution = 1.0 / float(time[-1] - time[0])
+    resolution = 1.0 / longest
     axes = [peak + resolution * PEAKS, DECAYS, STRENGTHS]
     axes[: len(stated)] = [np.array([value]) for value in stated]
     if len(stated) > 2:  # per white noise, which has what the oscillator leaves of the residuals' variance
@@ -83,27 +102,34 @@ def _places(axis: Array, value: float, even: bool, far: float) -> Array:
     return places
 
 
-def _grid(time: Array, axes: Sequence[Array]) -> Oscillations:
-    points = np.array(list(product(*axes)))
-    return Oscillations(time, points[:, 0], points[:, 1], points[:, 2])
+def _grid(axes: Sequence[Array]) -> Array:
+    return np.array(list(product(*axes)))
 
 
-def _log_likelihoods(candidates: Oscillations, residual: Array) -> Array:
+def _log_likelihoods(grid: Array, times: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Of each candidate (g,), the variance at its best."""
-    squares = candidates.products(residual[:, None])[:, 0, 0]
-    found: Array = -0.5 * (len(residual) * np.log(squares) + candidates.log_determinants)
+    squares, determinants, count = np.zeros(len(grid)), np.zeros(len(grid)), 0
+    for time, residual in zip(times, residuals, strict=True):
+        one = _family(time, grid)
+        squares += one.products(residual[:, None])[:, 0, 0]
+        determinants += one.log_determinants
+        count += len(residual)
+    found: Array = -0.5 * (count * np.log(squares) + determinants)
     return found
 
 
-def _peak(time: Array, residual: Array) -> float | None:
-    """Frequency [Hz] of the largest ordinate of the periodogram above SLOWEST; None if there is none."""
-    if len(time) < 8:
+def _peak(times: Sequence[Array], residuals: Sequence[Array]) -> float | None:
+    """Frequency [Hz] above SLOWEST where the periodograms' sum is largest; None if there is none."""
+    if max(len(time) for time in times) < 8:
         return None
-    spacing = float(np.median(np.diff(time)))
-    count = 4 * round(float(time[-1] - time[0]) / spacing + 1.0)  # finer than the resolution
-    places = np.round((time - time[0]) / spacing).astype(int)
-    even = np.zeros(count)
-    even[places] = residual
+    spacing = float(np.median(np.concatenate([np.diff(time) for time in times])))
+    lengths = [round(float(time[-1] - time[0]) / spacing + 1.0) for time in times]
+    count = 4 * max(lengths)  # finer than the resolution
     frequencies = np.fft.rfftfreq(count, spacing)
-    power = np.where(frequencies >= SLOWEST, np.abs(np.fft.rfft(even)), 0.0)
+    power = np.zeros(len(frequencies))
+    for time, residual in zip(times, residuals, strict=True):
+        even = np.zeros(count)
+        even[np.round((time - time[0]) / spacing).astype(int)] = residual
+        power += np.abs(np.fft.rfft(even)) ** 2
+    power[frequencies < SLOWEST] = 0.0
     return float(frequencies[int(power.argmax())]) if power.any() else None

@@ -130,10 +130,14 @@ def grid_places(time: Array) -> NDArray[np.int_]:
     return places if (np.diff(places) > 0).all() and places[-1] <= 3 * len(time) else numbers
 
 
-def burg(values: Array) -> tuple[Array, float]:
-    """Reflection coefficients of the order with the least BIC, and the deviation of the innovations."""
-    forward, backward = values[1:].copy(), values[:-1].copy()
-    variance, count = float(np.mean(values**2)), len(values)
+def burg(*segments: Array) -> tuple[Array, float]:
+    """Reflection coefficients of the order with the least BIC, and the deviation of the innovations.
+
+    segments: values (n,) of one process, of each run; nothing is predicted from one across to the next.
+    """
+    errors = [(values[1:].copy(), values[:-1].copy()) for values in segments]
+    count = sum(len(values) for values in segments)
+    variance = float(np.mean(np.concatenate(segments) ** 2))
     reflections: list[float] = []
     best, found = math.inf, (np.empty(0), math.sqrt(variance) or 1.0)
     for order in range(min(HIGHEST, count // 20) + 1):
@@ -142,11 +146,14 @@ def burg(values: Array) -> tuple[Array, float]:
         criterion = count * math.log(variance) + order * math.log(count)
         if criterion < best:
             best, found = criterion, (np.array(reflections), math.sqrt(variance))
-        energy = float(forward @ forward + backward @ backward)
+        energy = sum(float(forward @ forward + backward @ backward) for forward, backward in errors)
         if not energy > 0.0:
             break
-        reflection = 2.0 * float(forward @ backward) / energy
+        reflection = 2.0 * sum(float(forward @ backward) for forward, backward in errors) / energy
         reflections.append(reflection)
         variance *= 1.0 - reflection**2
-        forward, backward = (forward - reflection * backward)[1:], (backward - reflection * forward)[:-1]
+        errors = [
+            ((forward - reflection * backward)[1:], (backward - reflection * forward)[:-1])
+            for forward, backward in errors
+        ]
     return found
