@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from measure import by_processor, in_turn, print_machine, print_timings
+from measure import by_processor, in_turn, print_machine, print_timings, shared
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
@@ -39,7 +39,9 @@ NAIVE, HOISTED, LMFIT = (
     "scipy, hoisted, errors as ours",
     "lmfit, exact model",
 )
-ONE, WINDOW = "tms_fit, one run by table", "tms_fit, fit_window"
+ONE, WINDOW = "tms_fit, by table, one after the other", "tms_fit, fit_window"
+FIRST_ONE = "tms_fit, by table, first after other work"
+IN_A_ROW = 100  # different runs, each fitted alone: what one takes, on average
 
 
 def main() -> None:
@@ -79,12 +81,14 @@ def compare(window: Window, table: Table, measured: Array, repeats: int) -> None
             HOISTED: lambda: by_hoisted_scipy(time_s, one),
             LMFIT: lambda: by_lmfit(time_s, one),
             WINDOW: lambda: fit_window(noisy, settings),
-            ONE: lambda: fit_batch(table, measured[:1], start),
+            FIRST_ONE: lambda: fit_batch(table, measured[:1], start),
+            ONE: lambda: [fit_batch(table, measured[k : k + 1], start) for k in range(IN_A_ROW)],
             batch: lambda: fit_batch(table, measured, start),
         },
         repeats,
     )
     timings = by_processor(timings)
+    timings[ONE] = shared(timings[ONE], IN_A_ROW)
     print_timings("initial lean rate and speed", timings, NAIVE)
     per_run = timings[batch].median / len(measured)
     print(f"  per run of the batch {1e6 * per_run:.2f} us", end="")

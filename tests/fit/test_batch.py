@@ -48,6 +48,11 @@ CASES = {
         ("strike_time",),
         {"strike_time": (-0.02, -0.0001)},
     ),
+    "speed, with biases that are known": (
+        ("initial_lean_rate", "initial_steer_rate"),
+        ("speed",),
+        {"speed": (3.0, 4.2)},
+    ),
     "speed and pitch": (
         ("initial_lean_rate",),
         ("speed", "mounting_pitch"),
@@ -62,6 +67,8 @@ def test_a_batch_is_one_fit_after_the_other(case: str, missing: bool) -> None:
     linear, nonlinear, ranges = CASES[case]
     window = made_window(missing=missing, strike_time=-0.006)
     fixed = {} if "strike_time" in nonlinear else {"strike_time": -0.006}
+    if "known" in case:  # a forced response
+        fixed |= {"lean_rate_bias": 0.02, "yaw_rate_bias": -0.03}
     table = tabulate(Problem(window, linear, nonlinear, fixed), ranges)
     runs = noisy(window, 5)
     for several in (fit_batch(table, runs), fit_batch(table, runs[:1])):  # one alone goes its own way
@@ -92,10 +99,24 @@ def test_slopes_of_the_table() -> None:
     ranges = {"speed": (3.3, 3.9), "mounting_pitch": (-0.2, 0.2)}
     table = tabulate(Problem(made_window(), ("initial_lean_rate",), ("speed", "mounting_pitch")), ranges)
     centre, step = np.array([[3.62, 0.03]]), 1e-4
-    _, slopes = table.evaluate(centre)
+    slopes = table.columns(centre).reshape(3, 2, table.rank)[1:].transpose(0, 2, 1)
     for axis in range(2):
         ends = [table.coordinates(centre + sign * step * np.eye(2)[axis]) for sign in (-1.0, 1.0)]
-        np.testing.assert_allclose(slopes[:, axis], (ends[1] - ends[0]) / (2.0 * step), atol=1e-5)
+        np.testing.assert_allclose(slopes[axis], (ends[1] - ends[0])[0] / (2.0 * step), atol=1e-5)
+
+
+@pytest.mark.parametrize("known", [{}, {"lean_rate_bias": 0.02}], ids=["", "forced"])
+def test_gram_matrix_of_a_run(known: dict[str, float]) -> None:
+    problem = Problem(made_window(), ("initial_lean_rate", "initial_lean"), ("speed",), known)
+    table = tabulate(problem, {"speed": (3.0, 4.2)})
+    rows = noisy(problem.window, 1).ravel()
+    for speed in (3.02, 3.57, 4.2):
+        parts = table.columns(np.array([[speed]]))[0] @ table.basis.T  # (2 (p + 1), m)
+        target = rows - parts[2]
+        factors = np.array([*parts[:2], *parts[3 : 6 if known else 5], target])
+        gram = table.gram.at(table.gram.of_run(rows @ table.basis, rows @ rows), speed)
+        # What of the forced response no basis holds, 1e-9 of the largest rate, is left out of the first only.
+        np.testing.assert_allclose(gram, factors @ factors.T, rtol=1e-8, atol=1e-8)
 
 
 def test_standard_errors_reach_the_bound_and_intervals_hold() -> None:
@@ -131,6 +152,25 @@ def test_an_answer_beyond_the_table_is_marked() -> None:
     assert not fit_batch(table, runs[:1]).converged.any()
 
 
+@pytest.mark.parametrize("value", [np.nan, 0.0], ids=["not finite", "zero"])
+def test_a_run_that_tells_nothing_is_marked(value: float) -> None:
+    window = made_window()
+    table = tabulate(Problem(window, ("initial_lean_rate",), ("speed",)), {"speed": (3.0, 4.2)})
+    runs = noisy(window, 3)
+    runs[1] = value
+    np.testing.assert_array_equal(fit_batch(table, runs).converged, [True, False, True])
+    assert not fit_batch(table, runs[1:2]).converged.any()
+
+
+def test_a_run_without_noise_is_found_exactly() -> None:
+    window = made_window()
+    table = tabulate(Problem(window, ("initial_lean_rate",), ("speed",)), {"speed": (3.0, 4.2)})
+    for count in (1, 2):
+        found = fit_batch(table, np.repeat(window.measured[None], count, axis=0), np.array([3.3]))
+        assert found.converged.all()
+        np.testing.assert_allclose(found.values, [[0.5, 3.6]] * count, rtol=1e-8)
+
+
 REFUSED = {
     "no range": ({}, {}, "expected a range low < high of speed"),
     "empty range": ({"speed": (3.6, 3.6)}, {}, "expected a range low < high of speed"),
@@ -144,3 +184,11 @@ def test_tables_refused(case: str) -> None:
     problem = Problem(made_window(), ("initial_lean_rate",), ("speed",), {}, priors)
     with pytest.raises(ParameterError, match=said):
         tabulate(problem, ranges)
+
+
+def test_no_table_of_what_no_channel_tells_apart() -> None:
+    window = made_window()
+    window = replace(window, lean_rate=np.full_like(window.lean_rate, np.nan))
+    problem = Problem(window, ("initial_lean_rate", "lean_rate_bias"), ("speed",))
+    with pytest.raises(ParameterError, match="do not tell initial_lean_rate, lean_rate_bias apart"):
+        tabulate(problem, {"speed": (3.0, 4.2)})

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 from tms_model.bicycle import Array
 
-from tms_fit.least_squares.projection import starting_values
 from tms_fit.least_squares.single import HALVINGS, SETTLED, STEPS, fit_single
 from tms_fit.least_squares.table import Table
 
@@ -50,7 +49,7 @@ def fit_batch(table: Table, measured: Array, start: Array | None = None) -> Batc
     start: (q,) or (R, q) nonlinear values to begin with; None: as the problem's window knows them.
     """
     if len(measured) == 1 and len(table.orders) == 1 and table.problem.linear:
-        first = starting_values(table.problem) if start is None else np.asarray(start, dtype=float).ravel()
+        first = table.start if start is None else np.asarray(start, dtype=float).ravel()
         value, spread, deviation, good = fit_single(table, measured[0], float(first[0]))
         return BatchEstimate(
             table.problem.names,
@@ -58,23 +57,23 @@ def fit_batch(table: Table, measured: Array, start: Array | None = None) -> Batc
             spread[None],
             np.array([deviation]),
             np.array([good]),
-            int(table.good.sum()) - len(value),
+            table.sample_count - len(value),
         )
-    count, size = len(measured), max(table.rank * (len(table.problem.linear) + 1), int(table.good.sum()))
-    first = starting_values(table.problem) if start is None else np.asarray(start, dtype=float)
+    count, size = len(measured), max(table.rank * (len(table.problem.linear) + 1), table.sample_count)
+    first = table.start if start is None else np.asarray(start, dtype=float)
     starts = np.broadcast_to(first, (count, len(table.orders)))
     step = max(CHUNK // (size * (1 + len(table.orders))), 1)
     parts = [_fit(table, measured[k : k + step], starts[k : k + step]) for k in range(0, count, step)]
     values, covariance, std, converged = (np.concatenate(part) for part in zip(*parts, strict=True))
     return BatchEstimate(
-        table.problem.names, values, covariance, std, converged, int(table.good.sum()) - values.shape[1]
+        table.problem.names, values, covariance, std, converged, table.sample_count - values.shape[1]
     )
 
 
 def _fit(table: Table, measured: Array, start: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Values, covariances, residual deviations and convergence of one chunk."""
     inside, outside = table.project(measured)
-    degrees = max(int(table.good.sum()) - len(table.problem.names), 1)
+    degrees = max(table.sample_count - len(table.problem.names), 1)
     nonlinear = np.clip(start, table.low, table.high)
     state = _Point.at(table, inside, nonlinear)
     active, done = np.arange(len(measured)), np.zeros(len(measured), dtype=bool)
@@ -92,9 +91,14 @@ def _fit(table: Table, measured: Array, start: Array) -> tuple[Array, Array, Arr
         done[active] = small | ~better
     edge = (state.nonlinear <= table.low) | (state.nonlinear >= table.high)
     variance = (outside + state.squares) / degrees
-    covariance = variance[:, None, None] * np.linalg.inv(state.normal)
+    covariance = variance[:, None, None] * _inverse(state.normal)
     values = np.concatenate([state.linear, state.nonlinear], axis=1)
-    return values, covariance, np.sqrt(variance), done & ~edge.any(axis=1)
+    return (
+        values,
+        covariance,
+        np.sqrt(variance),
+        done & ~edge.any(axis=1) & np.isfinite(covariance).all(axis=(1, 2)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +114,17 @@ class _Point:
     @classmethod
     def at(cls, table: Table, inside: Array, nonlinear: Array) -> _Point:
         """Solve for the linear parameters at nonlinear values (R, q)."""
-        count = len(table.problem.linear)
-        values, slopes = table.evaluate(nonlinear)
-        columns = values[:, :, :count]
-        target = inside - values[:, :, count]
+        count, unknowns = len(table.problem.linear), len(table.orders)
+        # (R, r, 1 + q, p + 1): columns of the linear parameters and forced response, then their derivatives.
+        parts = table.columns(nonlinear).transpose(0, 2, 1).reshape(*inside.shape, 1 + unknowns, count + 1)
+        columns = parts[:, :, 0, :count]
+        target = inside - parts[:, :, 0, count]
         square = columns.transpose(0, 2, 1) @ columns
         along = np.einsum("rip,ri->rp", columns, target)
         linear = np.linalg.solve(square, along[:, :, None])[:, :, 0] if count else along
         residual = target - np.einsum("rip,rp->ri", columns, linear)
         whole = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)
-        by_nonlinear = np.einsum("rqip,rp->riq", slopes, whole)
+        by_nonlinear = np.einsum("riqp,rp->riq", parts[:, :, 1:], whole)
         jacobian = np.concatenate([columns, by_nonlinear], axis=2)
         return cls(
             nonlinear,
@@ -149,7 +154,7 @@ class _Point:
     def step(self, outside: Array, degrees: int) -> tuple[Array, Array]:
         """Gauss and Newton's change of the nonlinear values (R, q), and their standard errors (R, q)."""
         count = self.linear.shape[1]
-        inverse = np.linalg.inv(self.normal)[:, count:, count:]
+        inverse = _inverse(self.normal)[:, count:, count:]
         variance = (outside + self.squares) / degrees
         spread = np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2))
         return np.einsum("rij,rj->ri", inverse, self.gradient), spread
@@ -171,3 +176,12 @@ def _lower(table: Table, inside: Array, here: _Point, change: Array) -> tuple[_P
             break
         share[open_] *= 0.5
     return best, better
+
+
+def _inverse(matrices: Array) -> Array:
+    """Inverses (R, p, p); NaN for a run that does not tell the parameters apart, as one of zeros."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        told = np.linalg.det(matrices) != 0.0
+        return np.asarray(np.linalg.inv(np.where(told[:, None, None], matrices, np.nan)), dtype=np.float64)

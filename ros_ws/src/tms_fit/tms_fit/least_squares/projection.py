@@ -133,7 +133,7 @@ def _descend(problem: Problem, rows: Rows, point: _Point) -> Solution:
             settled = True  # rounding: nothing better is within reach
         else:
             damping = max(10.0 * damping, 1e-3)
-    if not _full_rank(jacobian, RANK if problem.nonlinear else LINEAR_RANK):
+    if not full_rank(jacobian, RANK if problem.nonlinear else LINEAR_RANK):
         return _unobservable(problem)
     values = np.concatenate([point.linear, point.nonlinear])
     status = "ok" if settled else "not_converged"
@@ -293,7 +293,8 @@ def _prior_rows(names: tuple[str, ...], priors: Mapping[str, tuple[float, float]
     return matrix, target
 
 
-def _full_rank(jacobian: Array, least: float) -> bool:
+def full_rank(jacobian: Array, least: float) -> bool:
+    """Whether the columns (m, p) are independent: no singular value up to `least` of the largest."""
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale.all() and np.isfinite(scale).all()):
         return False

@@ -18,12 +18,14 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import NDArray
 from tms_model import ParameterError
 from tms_model.bicycle import Array
 
+from tms_fit.least_squares.gram import GramSeries, chebyshev_transform, gram_series
 from tms_fit.least_squares.prediction import predictor
-from tms_fit.least_squares.projection import Problem
+from tms_fit.least_squares.projection import LINEAR_RANK, Problem, full_rank, starting_values
 
 FIRST, MOST = 8, 64  # Chebyshev points per parameter, to begin with and at most
 TOLERANCE = 1e-9  # of the basis and the series, per largest prediction
@@ -52,44 +54,58 @@ class Table:
         return bool(self.good.all())
 
     @cached_property
-    def degrees(self) -> Array:
-        """Degrees (k,) of the terms, of a table over one parameter."""
-        return np.arange(self.orders[0], dtype=float)
+    def sample_count(self) -> int:
+        """Scalar measurements of a run, m."""
+        return int(self.good.sum())
+
+    @cached_property
+    def start(self) -> Array:
+        """Nonlinear values (q,) as the problem's window knows them."""
+        return starting_values(self.problem)
 
     @property
     def rank(self) -> int:
         """Dimensions of the space, r."""
         return int(self.basis.shape[1])
 
+    @property
+    def column_count(self) -> int:
+        """Columns of linear parameters and forced response, and their derivatives, c = (1 + q) (p + 1)."""
+        return (1 + len(self.orders)) * (len(self.problem.linear) + 1)
+
     def coordinates(self, nonlinear: Array) -> Array:
         """Coordinates of the linear parameters' columns and of the forced response (R, r, p + 1).
 
         nonlinear: (R, q), within the box.
         """
-        values, _ = self.evaluate(nonlinear, slopes=False)
-        return values
+        return self.columns(nonlinear)[:, : len(self.problem.linear) + 1].transpose(0, 2, 1)
 
-    def evaluate(self, nonlinear: Array, slopes: bool = True) -> tuple[Array, Array]:
-        """Coordinates (R, r, p + 1) and their derivatives (R, q, r, p + 1) at nonlinear values (R, q)."""
-        count, unknowns = len(nonlinear), len(self.orders)
-        shape = (self.rank, len(self.problem.linear) + 1)
-        terms, steep = [], []
+    def columns(self, nonlinear: Array) -> Array:
+        """The same and their derivatives (R, c, r), by each of the nonlinear parameters (R, q) in turn."""
+        terms = np.ones((len(nonlinear), 1))
         for k, order in enumerate(self.orders):
-            half = 0.5 * (self.high[k] - self.low[k])
-            angle = np.arccos(
-                np.clip((nonlinear[:, k] - self.low[k]) / half - 1.0, -1.0 + 1e-13, 1.0 - 1e-13)
-            )
-            turns = angle[:, None] * np.arange(order)
-            terms.append(np.cos(turns))
-            if slopes:
-                steep.append(np.arange(order) * np.sin(turns) / (half * np.sin(angle))[:, None])
-        rows = [_outer(terms)]
-        if slopes:
-            rows += [_outer([*terms[:k], steep[k], *terms[k + 1 :]]) for k in range(unknowns)]
-        found = np.concatenate(rows) @ self.series if self.orders else self.series[None, 0].repeat(count, 0)
-        values = found[:count].reshape(count, *shape)
-        derivatives = found[count:].reshape(unknowns if slopes else 0, count, *shape).transpose(1, 0, 2, 3)
-        return values, derivatives
+            place = 2.0 * (nonlinear[:, k] - self.low[k]) / (self.high[k] - self.low[k]) - 1.0
+            one = chebvander(np.clip(place, -1.0, 1.0), order - 1)
+            terms = (terms[:, :, None] * one[:, None, :]).reshape(len(terms), -1) if k else one
+        return (terms @ self._column_series).reshape(len(terms), self.column_count, self.rank)
+
+    @cached_property
+    def _column_series(self) -> Array:
+        """Chebyshev coefficients (k_1 ... k_q, c r) of `columns`."""
+        series = self.series.reshape(*self.orders, self.rank, -1)
+        slopes = [
+            chebder(series, scl=2.0 / (high - low), axis=axis)
+            for axis, (low, high) in enumerate(zip(self.low, self.high, strict=True))
+        ]
+        for axis, slope in enumerate(slopes):
+            slopes[axis] = np.concatenate([slope, np.zeros_like(np.take(series, [0], axis))], axis)
+        together = np.swapaxes(np.stack([series, *slopes], axis=-3), -1, -2)
+        return together.reshape(len(self.series), -1)
+
+    @cached_property
+    def gram(self) -> GramSeries:
+        """Inner products, of a table over one parameter."""
+        return gram_series(self.columns, float(self.low[0]), float(self.high[0]), self.orders[0])
 
     def project(self, measured: Array) -> tuple[Array, Array]:
         """Coordinates (R, r) of what was measured (R, n, 2), and the squares (R,) outside the space."""
@@ -103,8 +119,8 @@ def tabulate(problem: Problem, ranges: Mapping[str, tuple[float, float]] | None 
     """The table of a problem's predictions, its nonlinear parameters within `ranges` (low, high).
 
     Linear parameters that are known are in the forced response. Raises ParameterError for a range that is
-    missing or empty, for a problem with priors, and where no series of MOST terms reaches TOLERANCE (take a
-    narrower range or a shorter window).
+    missing or empty, for a problem with priors, where the channels do not tell the linear parameters apart,
+    and where no series of MOST terms reaches TOLERANCE (take a narrower range or a shorter window).
     """
     ranges = ranges or {}
     for name in problem.nonlinear:
@@ -123,6 +139,11 @@ def tabulate(problem: Problem, ranges: Mapping[str, tuple[float, float]] | None 
         first = [FIRST if k == axis else 1 for k in range(len(low))]
         orders += (_enough(problem, below, above, first, only=axis)[1][axis] + (2 if len(low) > 1 else 0),)
     table, _ = _enough(problem, low, high, list(orders))
+    columns = table.coordinates(0.5 * (low + high)[None])[0, :, :-1]
+    if problem.linear and not full_rank(columns, LINEAR_RANK):
+        raise ParameterError(
+            f"table: the measured channels do not tell {', '.join(problem.linear)} apart; free fewer of them"
+        )
     return replace(table, error=_error(table))
 
 
@@ -160,10 +181,8 @@ def _table(problem: Problem, low: Array, high: Array, orders: tuple[int, ...]) -
     inside = np.einsum("mr,nmp->nrp", basis, predictions)
     series = inside.reshape(*orders, -1)
     tails = []
-    for axis, (order, angle) in enumerate(zip(orders, angles, strict=True)):
-        transform = 2.0 / order * np.cos(np.outer(np.arange(order), angle))
-        transform[0] *= 0.5
-        series = np.moveaxis(np.tensordot(transform, series, axes=(1, axis)), 0, axis)
+    for axis, order in enumerate(orders):
+        series = np.moveaxis(np.tensordot(chebyshev_transform(order), series, axes=(1, axis)), 0, axis)
     scaled = series.reshape(*orders, basis.shape[1], -1) / scale
     for axis in range(len(orders)):
         last = np.take(scaled, [-1] if orders[axis] == 1 else [-2, -1], axis=axis)
@@ -194,13 +213,3 @@ def _error(table: Table) -> float:
         scale[scale == 0.0] = 1.0
         worst = max(worst, float((np.abs(table.basis @ inside - exact) / scale).max()))
     return worst
-
-
-def _outer(terms: list[Array]) -> Array:
-    """Products of terms (R, k_1), (R, k_2) ... as (R, k_1 k_2 ...)."""
-    if not terms:
-        return np.ones((1, 1))
-    found = terms[0]
-    for other in terms[1:]:
-        found = (found[:, :, None] * other[:, None, :]).reshape(len(found), -1)
-    return found
