@@ -104,7 +104,7 @@ def test_a_file_beside_the_user_is_not_taken_for_a_python_module(tmp_path):
 
 
 def test_ctrl_c_while_python_imports_ends_a_tool_without_a_traceback(tmp_path):
-    # Python says what it imports, into a pipe that takes no more after a while: there it waits to be interrupted.
+    # Python says what it imports into a pipe that takes no more after a while: there it waits.
     said, saying = os.pipe()
     fcntl.fcntl(saying, fcntl.F_SETPIPE_SZ, 4096)
     environment = {**os.environ, "PYTHONPROFILEIMPORTTIME": "1"}
@@ -112,7 +112,7 @@ def test_ctrl_c_while_python_imports_ends_a_tool_without_a_traceback(tmp_path):
         [TMS, "fit", "run", "--help"], cwd=tmp_path, env=environment, stderr=saying, stdout=subprocess.DEVNULL
     )
     os.close(saying)
-    with open(said, encoding="utf-8") as stream:
+    with os.fdopen(said, encoding="utf-8") as stream:
         lines = iter(stream.readline, "")
         assert any("| numpy" in line or "|   numpy" in line for line in lines)
         tool.send_signal(signal.SIGINT)
