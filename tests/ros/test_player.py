@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Empty, Trigger
+from tms_bag import BagWriter
 from tms_bag.nodes.interfaces import message_class
 from tms_msgs.srv import Seek, SetRate
 
@@ -77,6 +80,7 @@ def test_one_that_plays_takes_no_steps(nodes: Any, participant: Any, bag: Path) 
     "parameters",
     [
         ["loop:=true"],
+        ["delay:=1000.0"],
         ["start_paused:=true"],
         ["wait_for_subscriptions:=1000", "wait_timeout:=1000.0"],
         ["lossless:=true", "wait_timeout:=1000.0"],
@@ -138,3 +142,21 @@ def test_parameters_come_from_a_yaml_file(nodes: Any, participant: Any, bag: Pat
     assert call(participant, Trigger, "get_rate").message == "8"
     assert call(participant, Trigger, "is_paused").success
     nodes.stop(player)
+
+
+@pytest.mark.parametrize(("parameters", "period"), [([], 0.01), (["delay:=0.3"], 0.3)])
+def test_a_loop_of_one_message_leaves_time_for_others(
+    nodes: Any, participant: Any, records: list[Any], tmp_path: Path, parameters: list[str], period: float
+) -> None:
+    (alone, *_) = of(records, IMU)
+    with BagWriter(tmp_path / "one") as writer:
+        writer.write(alone)
+    arrived = listen(participant, IMU, "sensor_msgs/msg/Imu")
+    began = time.monotonic()
+    player = start(nodes, tmp_path / "one", "loop:=true", "wait_for_subscriptions:=1", *parameters)
+    participant.spin_until(lambda: len(arrived) >= 3, "three rounds")
+    nodes.stop(player)
+    ended = time.monotonic()
+    (count,) = re.findall(r"(\d+) messages played", nodes.log("player").read_text())
+    assert 3 <= int(count) <= (ended - began) / period
+    assert set(arrived) == {alone.data}

@@ -61,6 +61,8 @@ def add_play(commands: Any) -> None:
         "--qos-profile-overrides-path", metavar="FILE", help="YAML: quality of service by topic, as rosbag2's"
     )
     flag("-l", "--loop", action="store_true", help="start anew at the end, until Ctrl-C")
+    text = "wait before the start, and before each round of a loop, in real time"
+    flag("-d", "--delay", type=float, default=0.0, metavar="S", help=text)
     flag(
         "-p", "--start-paused", action="store_true", help="play nothing before the service ~/resume is called"
     )

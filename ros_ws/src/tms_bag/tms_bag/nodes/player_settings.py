@@ -21,6 +21,7 @@ class PlayerSettings:
     end_ns: int  # [ns] last one
     selection: Selection
     loop: bool
+    delay: float  # [s] of real time before each round
     start_paused: bool
     clock_period: float  # [s]; 0: no clock
     wait_for_subscriptions: int
@@ -37,6 +38,7 @@ def declare_player_settings(node: Node) -> PlayerSettings:
     offset = declare(node, "start_offset", 0.0, "start this much into the bag [s]", 0.0, 1e9)
     duration = declare(node, "duration", 0.0, "play so much of the bag [s]; 0: to its end", 0.0, 1e9)
     loop = declare(node, "loop", False, "start anew at the end")
+    delay = declare(node, "delay", 0.0, "wait before the start, and each round of a loop [s]", 0.0, 1e6)
     paused = declare(node, "start_paused", False, "play nothing before ~/resume")
     clock = declare(node, "publish_clock", False, "publish the bag's time on /clock")
     clock_rate = declare(node, "clock_rate", 100.0, "ticks of /clock in a second of real time", 1.0, 1000.0)
@@ -71,6 +73,7 @@ def declare_player_settings(node: Node) -> PlayerSettings:
         end_ns=min(bag.end_ns, start_ns + round(duration * 1e9)) if duration else bag.end_ns,
         selection=selection,
         loop=loop,
+        delay=delay,
         start_paused=paused,
         clock_period=1.0 / clock_rate if clock else 0.0,
         wait_for_subscriptions=awaited,
