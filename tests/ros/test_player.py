@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -144,19 +142,25 @@ def test_parameters_come_from_a_yaml_file(nodes: Any, participant: Any, bag: Pat
     nodes.stop(player)
 
 
-@pytest.mark.parametrize(("parameters", "period"), [([], 0.01), (["delay:=0.3"], 0.3)])
+@pytest.mark.parametrize(("parameters", "rounds", "period"), [([], 100, 0.01), (["delay:=0.3"], 4, 0.3)])
 def test_a_loop_of_one_message_leaves_time_for_others(
-    nodes: Any, participant: Any, records: list[Any], tmp_path: Path, parameters: list[str], period: float
+    nodes: Any,
+    participant: Any,
+    records: list[Any],
+    tmp_path: Path,
+    parameters: list[str],
+    rounds: int,
+    period: float,
 ) -> None:
-    (alone, *_) = of(records, IMU)
     with BagWriter(tmp_path / "one") as writer:
-        writer.write(alone)
-    arrived = listen(participant, IMU, "sensor_msgs/msg/Imu")
-    began = time.monotonic()
+        writer.write(of(records, IMU)[0])
+    sent: list[float] = []  # [s], as the sender's machine says
+
+    def hear(message: Any, info: Any) -> None:
+        sent.append(info["source_timestamp"] / 1e9)
+
+    participant.create_subscription(message_class("sensor_msgs/msg/Imu"), IMU, hear, QoSProfile(depth=5000))
     player = start(nodes, tmp_path / "one", "loop:=true", "wait_for_subscriptions:=1", *parameters)
-    participant.spin_until(lambda: len(arrived) >= 3, "three rounds")
+    participant.spin_until(lambda: len(sent) > rounds, "many rounds")
     nodes.stop(player)
-    ended = time.monotonic()
-    (count,) = re.findall(r"(\d+) messages played", nodes.log("player").read_text())
-    assert 3 <= int(count) <= (ended - began) / period
-    assert set(arrived) == {alone.data}
+    assert sent[rounds] - sent[0] > rounds * period / 2  # the first may be held up on a busy machine
