@@ -17,6 +17,7 @@ from domain_coordinator import domain_id as unused_domain_id
 from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from tms_bag import BagWriter, Record, conversion, topics
@@ -139,6 +140,12 @@ class Participant(Node):
 
         self.spin_until(answered, f"{node} answers")
         self.destroy_client(client)
+
+    def acknowledged(self, *publishers: Any) -> None:
+        """Wait until all that was sent reliably has arrived."""
+        for publisher in publishers:
+            arrived = publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
+            assert arrived, f"not within {DEADLINE:g} s: {publisher.topic_name} is acknowledged"
 
     def client(self, kind: Any, service: str) -> Any:
         """A client of a service `NODE/NAME` that the node knows."""

@@ -47,11 +47,11 @@ def heard(participant: Any, publisher: Any, count: int = 1) -> None:
     participant.spin_until(lambda: publisher.get_subscription_count() >= count, "the recorder listens")
 
 
-def send(publisher: Any, values: range) -> None:
+def send(participant: Any, publisher: Any, values: range) -> None:
     for value in values:
         publisher.publish(UInt32(data=value))
         time.sleep(0.001)
-    publisher.wait_for_all_acked()
+    participant.acknowledged(publisher)
 
 
 def test_topics_are_chosen_by_pattern_and_type_and_left_out(
@@ -77,7 +77,7 @@ def test_topics_are_chosen_by_pattern_and_type_and_left_out(
         heard(participant, publishers[name])
     for publisher in publishers.values():
         publisher.publish(publisher.msg_type())
-        publisher.wait_for_all_acked()
+        participant.acknowledged(publisher)
     nodes.stop(recorder)
     with BagReader(tmp_path / "bag") as reader:
         assert {(topic.name, topic.count) for topic in reader.topics} == {(name, 1) for name in wanted}
@@ -104,7 +104,7 @@ def test_publishers_of_every_kind_are_heard_each_message_once(
         publisher = participant.create_publisher(UInt32, "/n", profile)
         heard(participant, publisher, count)
         values = range(1000 * start, 1000 * start + 50)
-        send(publisher, values)
+        send(participant, publisher, values)
         sent += values
     nodes.stop(recorder)
     assert sorted(numbers(tmp_path / "bag")) == sent
@@ -115,7 +115,7 @@ def test_what_a_latched_publisher_said_before_is_recorded(
     nodes: Any, participant: Any, tmp_path: Path, record: Any
 ) -> None:
     publisher = participant.create_publisher(UInt32, "/n", LATCHED)
-    send(publisher, range(5))
+    send(participant, publisher, range(5))
     recorder = record("-p", "topics:=[/n]")
     heard(participant, publisher)
     participant.spin_until(lambda: len(numbers_so_far(tmp_path / "bag")) == 5, "five messages")
@@ -137,8 +137,8 @@ def test_losses_are_counted_and_told_everywhere(
     heard(participant, publisher)
     for value in range(2000):
         publisher.publish(UInt32(data=value))
-    publisher.wait_for_all_acked()
-    send(publisher, range(2000, 2001))
+    participant.acknowledged(publisher)
+    send(participant, publisher, range(2000, 2001))
     nodes.stop(recorder)
     found = numbers(tmp_path / "bag")
     lost = 2001 - len(found)
@@ -155,15 +155,15 @@ def test_pause_resume_and_split_are_services(
     recorder = record("-p", "topics:=[/n]", "-p", "start_paused:=true")
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     heard(participant, publisher)
-    send(publisher, range(10))
+    send(participant, publisher, range(10))
     assert participant.call(Trigger, "/recorder/is_paused").success
     participant.call(Empty, "/recorder/resume")
     assert not participant.call(Trigger, "/recorder/is_paused").success
-    send(publisher, range(10, 20))
+    send(participant, publisher, range(10, 20))
     participant.call(Empty, "/recorder/split_bagfile")
-    send(publisher, range(20, 30))
+    send(participant, publisher, range(20, 30))
     participant.call(Empty, "/recorder/pause")
-    send(publisher, range(30, 40))
+    send(participant, publisher, range(30, 40))
     nodes.stop(recorder)
     assert numbers(tmp_path / "bag") == list(range(10, 30))
     assert remarks(tmp_path / "bag")["left_out_while_paused"] == 20
@@ -179,7 +179,7 @@ def test_stop_ends_it_with_all_that_was_sent_before(
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     heard(participant, publisher)
     stop = participant.client(Empty, "/recorder/stop")
-    send(publisher, range(10))
+    send(participant, publisher, range(10))
     stop.call_async(Empty.Request())
     nodes.finish(recorder)
     assert numbers(tmp_path / "bag") == list(range(10))
@@ -191,10 +191,10 @@ def test_a_snapshot_is_what_came_last(nodes: Any, participant: Any, tmp_path: Pa
     recorder = record("-p", "topics:=[/n]", "-p", "snapshot:=60.0")
     publisher = participant.create_publisher(UInt32, "/n", RELIABLE)
     heard(participant, publisher)
-    send(publisher, range(10))
+    send(participant, publisher, range(10))
     answer = participant.call(Trigger, "/recorder/snapshot")
     assert (answer.success, answer.message) == (True, "10 messages written")
-    send(publisher, range(10, 20))  # never asked for
+    send(participant, publisher, range(10, 20))  # never asked for
     nodes.stop(recorder)
     assert numbers(tmp_path / "bag") == list(range(10))
 
@@ -219,14 +219,14 @@ def test_simulated_time_stamps_what_came_with_it(
     participant.spin_until(lambda: clock.get_subscription_count() >= 2, "the recorder listens to the clock")
     participant.reach("/recorder")  # and, without reliability, hears its first tick
     publisher.publish(UInt32(data=0))  # before the first tick: it waits for it
-    publisher.wait_for_all_acked()
+    participant.acknowledged(publisher)
     time.sleep(0.05)
     for second in (100, 101, 50):  # and once back
         clock.publish(Clock(clock=Time(sec=second)))
-        clock.wait_for_all_acked()
+        participant.acknowledged(clock)
         time.sleep(0.05)
         publisher.publish(UInt32(data=second))
-        publisher.wait_for_all_acked()
+        participant.acknowledged(publisher)
         time.sleep(0.05)
     nodes.stop(recorder)
     with BagReader(tmp_path / "bag") as reader:
@@ -242,7 +242,7 @@ def test_without_a_clock_nothing_is_lost_and_it_is_said(
     recorder = record("-p", "topics:=[/n]", "-p", "use_sim_time:=true")
     heard(participant, publisher)
     before = time.time_ns()
-    send(publisher, range(20))
+    send(participant, publisher, range(20))
     nodes.stop(recorder)
     assert numbers(tmp_path / "bag") == list(range(20))
     assert "/clock has not ticked" in nodes.log("recorder").read_text()

@@ -53,8 +53,7 @@ def test_what_is_published_is_in_the_bag_after_a_signal(nodes, participant, reco
     for record in records:
         publishers[record.topic].publish(record.data)
     hidden.publish(message_class("std_msgs/msg/String")(data="x"))
-    for publisher in publishers.values():
-        assert publisher.wait_for_all_acked()
+    participant.acknowledged(*publishers.values())
     after = time.time_ns()
     nodes.stop(recorder, how)
     with BagReader(tmp_path / "bag") as reader:
@@ -105,7 +104,7 @@ def test_only_chosen_topics_are_recorded_even_if_they_come_late(nodes, participa
     )
     for record in records:
         publishers[record.topic].publish(record.data)
-    assert publishers["/bicycle/speed"].wait_for_all_acked()
+    participant.acknowledged(publishers["/bicycle/speed"])
     nodes.stop(recorder)
     with BagReader(tmp_path / "bag") as reader:
         assert by_topic(reader.records()) == {"/bicycle/speed": by_topic(records)["/bicycle/speed"]}

@@ -85,8 +85,7 @@ class Source:
         for record in records:
             self.publishers[record.topic].publish(record.data)
             time.sleep(pause)
-        for publisher in self.publishers.values():
-            publisher.wait_for_all_acked()
+        self._participant.acknowledged(*self.publishers.values())
 
     def leave(self) -> None:
         for publisher in self.publishers.values():
