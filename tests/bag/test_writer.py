@@ -81,9 +81,17 @@ def test_what_a_killed_process_of_the_same_number_left_is_in_nobodys_way(bag, ma
 
 @pytest.mark.parametrize(
     "what",
-    ["a folder with other things", "a file", "a link to a bag", "a folder of bags", "two bags"],
+    [
+        "a folder with other things",
+        "a file",
+        "a link to a bag",
+        "a folder of bags",
+        "two bags",
+        "an sqlite3 bag",
+        "a packed bag",
+    ],
 )
-def test_what_is_no_bag_is_never_replaced(tmp_path, bag, what):
+def test_what_is_no_bag_of_mcap_files_is_never_replaced(tmp_path, bag, what):
     path = tmp_path / "mine"
     if what == "a file":
         path.write_text("precious")
@@ -96,11 +104,17 @@ def test_what_is_no_bag_is_never_replaced(tmp_path, bag, what):
         path.mkdir()
         for name in ("monday_0.mcap", "monday_1.mcap", "tuesday_0.mcap"):
             (path / name).write_bytes(b"precious")
+    elif what in ("an sqlite3 bag", "a packed bag"):
+        path.mkdir()
+        (path / f"mine_0.{'db3' if what == 'an sqlite3 bag' else 'mcap.zstd'}").write_bytes(b"precious")
+        (path / "metadata.yaml").write_text("")
     else:
         path.mkdir()
         (path / "thesis.tex").write_text("precious")
         (path / "metadata.yaml").write_text("")
-    with pytest.raises(RecordingError, match="expected a bag to replace"):
+    with pytest.raises(
+        RecordingError, match=r"expected a bag of \.mcap files to replace, found .*; remove it yourself"
+    ):
         BagWriter(path, overwrite=True)
     assert path.exists()
 

@@ -20,7 +20,7 @@ class Destination:
     What stands at `path` already is replaced if `overwrite` says so, or moved to `keep_old_as` and kept.
 
     RecordingError, before anything is touched, if there is something at `path` already; with `overwrite` only
-    if that is something else than a bag.
+    if that is something else than a bag of .mcap files.
     """
 
     def __init__(
@@ -142,7 +142,8 @@ def _unfinished(path: Path) -> Path:
 def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise RecordingError(
-            f"{given}: exists already; choose another name (--force, where a command has it, replaces a bag)"
+            f"{given}: exists already; choose another name (--force, where a command has it, replaces a bag"
+            " of .mcap files)"
         )
     entries = sorted(path.iterdir()) if path.is_dir() and not path.is_symlink() else [path]
     strange = [entry.name for entry in entries if not _may_be_of_a_bag(entry)]
@@ -152,7 +153,8 @@ def _check_replaceable(given: Path, path: Path, overwrite: bool) -> None:
     if strange or not path.is_dir():
         found = ", ".join(strange[:3]) if path.is_dir() else "a file"
         raise RecordingError(
-            f"{given}: expected a bag to replace, found {found}; remove it yourself or choose another name"
+            f"{given}: expected a bag of .mcap files to replace, found {found}; remove it yourself or choose"
+            " another name"
         )
 
 

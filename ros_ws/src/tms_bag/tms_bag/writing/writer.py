@@ -44,7 +44,7 @@ class BagWriter:
     Written beside `path` and renamed to it at a clean end: after an exception nothing is left; RecordingError
     where the system takes no more. With `live` it is written in place, and kept as far as it got whatever
     happens: OSError where the system takes no more; `flush` bounds what can be lost.
-    RecordingError if `path` exists; with `overwrite` an existing bag (and nothing but a bag) is replaced,
+    RecordingError if `path` exists; with `overwrite` a bag of .mcap files, and nothing else, is replaced,
     with `keep_old_as` whatever is there is moved to that path. `preset` is one of PRESETS. `beside` is called
     when the bag is complete, before it stands at `path`, while nothing else does: whatever belongs beside a
     bag is there before the bag is. If it raises, all is as it was before.
