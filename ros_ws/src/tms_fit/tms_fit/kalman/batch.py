@@ -1,19 +1,19 @@
 """Kalman filter and smoother for many runs at once, measured at the same instants with the same model.
 
-Covariances and gains depend on which samples are missing, not on what the others say: runs that miss the
-same samples share them. What is left for each run is one product with a small matrix per sample, done for all
-runs together:
+The gains are those of `tms_fit.kalman.gains`. What is left for each run is one product with the transition
+for every sample, and one sum with the gain for every channel of it, done for all runs together:
 
-    (x[k], e[k]) = step[k] (x[k - 1], y[k])
+    x <- F x;   e = y - h x,   x <- x + K e   for each channel
 
-x: state, y: measurement, e: innovations of its channels, each given those before it, which are independent.
+x: state, y: measurement, e: innovation, each given the channels before it. Runs stand last in the arrays, and
+as many are taken at a time as the processor's cache holds.
 
 The smoother is Bryson and Frazier's (see `tms_fit.estimators.kalman_rts`): its adjoint pass gives gradient
 and curvature of minus the log-likelihood by the state at the start, so the prior can be taken out exactly.
 
 References: G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation", Academic Press (1977),
-chapter 2 (one scalar after the other); "Fixed interval smoothing with discrete measurements", Int. J. Control
-18 (1973), doi 10.1080/00207177308932487.
+chapter 2; "Fixed interval smoothing with discrete measurements", Int. J. Control 18 (1973), doi
+10.1080/00207177308932487.
 """
 
 from __future__ import annotations
@@ -25,17 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
+from tms_fit.kalman.gains import Gains, gains, moved
 from tms_fit.kalman.state_space import StateSpace
 
-
-@dataclass(frozen=True, eq=False)
-class Steps:
-    """What g patterns of missing samples make of a state space."""
-
-    pattern: NDArray[np.intp]  # (r,) which of them a run has
-    step: Array  # (n, g, s + m, s + m); rows and columns of absent measurements are zero
-    variance: Array  # (n, g, m) of the innovations, infinite where absent
-    covariance: Array  # (g, s, s) of the state at the last sample
+CHUNK = 2000  # runs at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +36,21 @@ class BatchFilter:
     """r runs of n samples, m channels, s states."""
 
     space: StateSpace
-    steps: Steps
+    gains: Gains
     innovation: Array  # (r, n, m), each given the channels before it; 0 where absent
     nis: Array  # (r, n) sum over the channels used
-    channel_count: NDArray[np.intp]  # (r, n) channels used
     log_likelihood: Array  # (r,)
     state: Array  # (r, s) at the last sample
 
     @property
+    def channel_count(self) -> NDArray[np.intp]:
+        """Channels used (r, n)."""
+        return np.asarray(self.gains.present.sum(axis=1).T[self.gains.pattern])
+
+    @property
     def covariance(self) -> Array:
         """Of the state at the last sample (r, s, s)."""
-        return np.asarray(self.steps.covariance[self.steps.pattern])
+        return np.asarray(np.moveaxis(self.gains.covariance, -1, 0)[self.gains.pattern])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,33 +64,47 @@ class Start:
 def filter_batch(space: StateSpace, measured: Array) -> BatchFilter:
     """Filter measured (r, n, m), NaN where a measurement is missing.
 
-    Memory: three times the measurements, and (s + m)^2 numbers for each sample of each pattern.
+    Memory: twice the measurements, and s + 1 numbers for each measurement of each pattern of missing ones.
     """
-    present = np.isfinite(measured)
-    steps = _steps(space, present)
+    known = gains(space, np.isfinite(measured))
     runs, count, channels = measured.shape
-    size = space.mean.size
-    values = np.where(present, measured, 0.0).transpose(1, 2, 0).copy()
-    now = np.empty((size + channels, runs))
-    now[:size] = space.mean[:, None]
-    innovation = np.empty_like(values)
-    for k in range(count):
-        now[size:] = values[k]
-        now = _apply(steps.step[k], now, steps.pattern)
-        innovation[k] = now[size:]
-    variance = steps.variance.transpose(0, 2, 1)[:, :, steps.pattern]
-    weighted = np.sum(innovation**2 / variance, axis=1).T
-    used = np.isfinite(steps.variance)
-    spread = np.log(np.where(used, 2.0 * math.pi * np.where(used, steps.variance, 1.0), 1.0)).sum(axis=(0, 2))
+    innovation, nis = np.zeros((count, channels, runs)), np.zeros((count, runs))
+    state = np.empty((space.mean.size, runs))
+    for k in range(0, runs, CHUNK):
+        part = slice(k, k + CHUNK)
+        state[:, part] = _filter(space, known, part, measured[part], innovation[:, :, part], nis[:, part])
+    used = np.where(known.present, known.variance, 0.5 / math.pi)
+    spread = np.log(2.0 * math.pi * used).sum(axis=(0, 1))
     return BatchFilter(
         space=space,
-        steps=steps,
+        gains=known,
         innovation=np.moveaxis(innovation, -1, 0),
-        nis=weighted,
-        channel_count=present.sum(axis=2),
-        log_likelihood=-0.5 * (weighted.sum(axis=1) + spread[steps.pattern]),
-        state=now[:size].T.copy(),
+        nis=nis.T,
+        log_likelihood=-0.5 * (nis.sum(axis=0) + spread[known.pattern]),
+        state=state.T,
     )
+
+
+def _filter(
+    space: StateSpace, known: Gains, part: slice, measured: Array, innovation: Array, nis: Array
+) -> Array:
+    """State (s, r) at the last sample; fills in innovation (n, m, r) and nis (n, r), which are zero."""
+    runs, count, channels = measured.shape
+    values = measured.transpose(1, 2, 0).copy()
+    state = np.repeat(space.mean[:, None], runs, axis=1)
+    change, weighted = np.empty_like(state), np.empty(runs)
+    own, everything = known.of(part), bool(known.present.all())
+    for k in range(count):
+        state = space.transitions[k] @ state
+        for c in range(channels):
+            error = innovation[k, c]
+            there = True if everything else known.present[k, c, own]
+            np.subtract(values[k, c], space.rows[k, c] @ state, out=error, where=there)
+            state += np.multiply(known.gain[k, c][:, own], error, out=change)
+            np.multiply(error, error, out=weighted)
+            weighted /= known.variance[k, c, own]
+            nis[k] += weighted
+    return state
 
 
 def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) -> Start:
@@ -103,26 +114,44 @@ def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) ->
     of a standard error if the prior was ten of them wide; each tenfold more costs two digits. The other
     states keep their prior. Raises numpy.linalg.LinAlgError where the data don't tell them apart.
     """
-    space, steps = filtered.space, filtered.steps
-    size, (runs, count, channels) = space.mean.size, filtered.innovation.shape
-    adjoint = np.zeros((size + channels, runs))
-    curvature = np.zeros_like(steps.covariance)
-    weight = 1.0 / steps.variance
+    space, known = filtered.space, filtered.gains
+    innovation = np.moveaxis(filtered.innovation, 0, -1)
+    gradient = np.empty((space.mean.size, innovation.shape[2]))
+    for k in range(0, innovation.shape[2], CHUNK):
+        part = slice(k, k + CHUNK)
+        gradient[:, part] = _gradient(space, known, part, innovation[:, :, part])
+    curvature = np.moveaxis(_curvature(space, known), -1, 0)
+    return _start(space, gradient.T, curvature[known.pattern], free, prior)
+
+
+def _gradient(space: StateSpace, known: Gains, part: slice, innovation: Array) -> Array:
+    """Gradient (s, r) of minus the log-likelihood by the state at the start."""
+    count, channels, runs = innovation.shape
+    adjoint = np.zeros((space.mean.size, runs))
+    change = np.empty_like(adjoint)
+    own = known.of(part)
     for k in range(count - 1, -1, -1):
-        step = steps.step[k]
-        adjoint[size:] = (filtered.innovation[:, k] * weight[k, steps.pattern]).T
-        adjoint = _apply(np.swapaxes(step, 1, 2), adjoint, steps.pattern)
-        moved, seen = step[:, :size, :size], step[:, size:, :size]
-        curvature = np.swapaxes(moved, 1, 2) @ curvature @ moved
-        curvature += np.swapaxes(seen, 1, 2) @ (weight[k][:, :, None] * seen)
-    return _start(space, adjoint[:size].T, curvature[steps.pattern], free, prior)
+        for c in range(channels - 1, -1, -1):
+            along = np.einsum("sr,sr->r", known.gain[k, c][:, own], adjoint)
+            along += innovation[k, c] / known.variance[k, c, own]
+            adjoint -= np.multiply(space.rows[k, c][:, None], along, out=change)
+        adjoint = space.transitions[k].T @ adjoint
+    return adjoint
 
 
-def _apply(matrices: Array, vectors: Array, pattern: NDArray[np.intp]) -> Array:
-    """Product of each run's matrix, of matrices (g, a, a), with its vector, of vectors (a, r)."""
-    if len(matrices) == 1:
-        return np.asarray(matrices[0] @ vectors)
-    return np.asarray((matrices[pattern] @ vectors.T[:, :, None])[:, :, 0].T)
+def _curvature(space: StateSpace, known: Gains) -> Array:
+    """Curvature (s, s, g) of the same, of each pattern."""
+    count, channels, size, patterns = known.gain.shape
+    found = np.zeros((size, size, patterns))
+    for k in range(count - 1, -1, -1):
+        for c in range(channels - 1, -1, -1):
+            # M' W M + h h' / variance, of M = 1 - K h
+            row, gain = space.rows[k, c][:, None], known.gain[k, c]
+            along = np.einsum("stg,tg->sg", found, gain)
+            along -= 0.5 * row * (np.einsum("sg,sg->g", gain, along) + 1.0 / known.variance[k, c])
+            found -= row[:, None] * along + along[:, None] * row
+        found = moved(space.transitions[k].T, found)
+    return found
 
 
 def _start(space: StateSpace, gradient: Array, curvature: Array, free: list[int], prior: bool) -> Start:
@@ -135,29 +164,3 @@ def _start(space: StateSpace, gradient: Array, curvature: Array, free: list[int]
         return Start(space.mean[free] - slope @ known, known - known @ bend @ known)
     inverse = np.linalg.inv(bend)
     return Start(space.mean[free] - np.einsum("rpq,rq->rp", inverse, slope), inverse - known)
-
-
-def _steps(space: StateSpace, present: NDArray[np.bool_]) -> Steps:
-    runs, count, channels = present.shape
-    flat = np.packbits(present.reshape(runs, -1), axis=1)
-    _, first, pattern = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-    there, size = present[first], space.mean.size
-    covariance = np.tile(space.covariance, (len(first), 1, 1))
-    step = np.zeros((count, len(first), size + channels, size + channels))
-    step[:, :, :size, :size] = space.transitions[:, None]
-    variance = np.full((count, len(first), channels), np.inf)
-    for k in range(count):
-        covariance = space.transitions[k] @ covariance @ space.transitions[k].T + space.process[k]
-        for c in range(channels):
-            row, used = space.rows[k, c], there[:, k, c]
-            along = covariance @ row
-            spread = along @ row + space.noise[k, c]
-            gain = np.where(used[:, None], along / spread[:, None], 0.0)
-            covariance = covariance - gain[:, :, None] * along[:, None, :]
-            error = step[k, :, size + c]
-            error[:] = -(row @ step[k, :, :size])
-            error[:, size + c] += 1.0
-            error *= used[:, None]
-            step[k, :, :size] += gain[:, :, None] * error[:, None, :]
-            variance[k, :, c] = np.where(used, spread, np.inf)
-    return Steps(pattern.reshape(-1), step, variance, 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))

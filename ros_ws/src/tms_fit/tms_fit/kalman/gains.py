@@ -1,0 +1,84 @@
+"""Kalman gains of many runs at once: they depend on which samples are missing, not on what the others say.
+
+Runs that miss the same samples, a pattern, share covariances and gains. What belongs to a pattern stands last
+in every array, so that each step is done for all patterns by a few products and sums of long rows.
+
+Reference: G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation", Academic Press (1977),
+chapter 2 (one scalar measurement after the other).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_model.bicycle import Array
+
+from tms_fit.kalman.state_space import StateSpace
+
+CHUNK = 1000  # patterns at a time: their covariances stay in the processor's cache
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What g patterns of missing samples make of a state space."""
+
+    pattern: NDArray[np.intp]  # (r,) which of them a run has
+    present: NDArray[np.bool_]  # (n, m, g)
+    gain: Array  # (n, m, s, g), 0 where absent
+    variance: Array  # (n, m, g) of the innovations, each given the channels before it; infinite where absent
+    covariance: Array  # (s, s, g) of the state at the last sample
+
+    def of(self, runs: slice) -> NDArray[np.intp] | slice:
+        """Where the gains of some runs stand; a slice, which copies nothing, if all share them or none do."""
+        count = self.present.shape[2]
+        if count == 1:
+            return slice(None)
+        return runs if count == len(self.pattern) else self.pattern[runs]
+
+
+def gains(space: StateSpace, present: NDArray[np.bool_]) -> Gains:
+    """Gains for runs whose measurements are present (r, n, m)."""
+    pattern, there = _patterns(present)
+    parts = [_recursion(space, there[:, :, k : k + CHUNK]) for k in range(0, max(there.shape[2], 1), CHUNK)]
+    gain, variance, covariance = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+    return Gains(pattern, there, gain, variance, covariance)
+
+
+def moved(transition: Array, covariance: Array) -> Array:
+    """F P F' of one F (s, s) and many P (s, s, g)."""
+    once = (transition @ covariance.reshape(len(covariance), -1)).reshape(covariance.shape)
+    twice: Array = np.matmul(transition, once)
+    return twice
+
+
+def _patterns(present: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Which pattern each run has (r,), and the patterns (n, m, g)."""
+    if (present == present[:1]).all():
+        return np.zeros(len(present), dtype=np.intp), np.moveaxis(present[:1], 0, -1)
+    flat = np.packbits(present.reshape(len(present), -1), axis=1)
+    _, first, pattern = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(present):
+        first = pattern = np.arange(len(present))
+    return pattern.reshape(-1), np.ascontiguousarray(np.moveaxis(present[first], 0, -1))
+
+
+def _recursion(space: StateSpace, there: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Gain, variance and last covariance of some patterns."""
+    (count, channels, patterns), size = there.shape, space.mean.size
+    covariance = np.repeat(space.covariance[:, :, None], patterns, axis=2)
+    gain, variance = np.empty((count, channels, size, patterns)), np.empty(there.shape)
+    known = np.empty_like(covariance)
+    for k in range(count):
+        covariance = moved(space.transitions[k], covariance)
+        covariance += space.process[k][:, :, None]
+        for c in range(channels):
+            row = space.rows[k, c]
+            along = (row @ covariance.reshape(size, -1)).reshape(size, patterns)
+            spread = row @ along + space.noise[k, c]
+            np.multiply(along, there[k, c] / spread, out=gain[k, c])
+            covariance -= np.multiply(gain[k, c][:, None], along, out=known)
+            variance[k, c] = spread
+    variance[~there] = np.inf
+    return gain, variance, 0.5 * (covariance + np.swapaxes(covariance, 0, 1))
