@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from tms_bag import BagReader, BagWriter, Record
 from tms_fit.estimators import ESTIMATORS
+from tms_model.catalogue import FOLDER
 from tms_sim.run import SimulatedRun
 
 
@@ -169,7 +170,18 @@ BAGS: dict[str, tuple[Callable[[SimulatedRun], Any], str]] = {
     "no IMU": (lambda run: without(run, "/imu/data_raw"), "expected a topic /imu/data_raw"),
     "no messages": (lambda run: [], "/imu/data_raw"),
     "no bicycle named": (lambda run: without(run, "/run_info"), "use --bicycle NAME"),
-    "unknown bicycle named": (lambda run: named(run, "tandem").records(), "unknown bicycle 'tandem'"),
+    "unknown bicycle named": (
+        lambda run: named(run, "tandem").records(),
+        "names a bicycle of the catalogue, found 'tandem'; use --bicycle NAME or FILE",
+    ),
+    "bicycle named by its file": (
+        lambda run: named(run, str(FOLDER / "delft_sbw.yaml")).records(),
+        "delft_sbw.yaml'; use --bicycle NAME or FILE",
+    ),
+    "bicycle named by a way to its file": (
+        lambda run: named(run, "../bicycles/delft_sbw").records(),
+        "found '../bicycles/delft_sbw'; use --bicycle NAME or FILE",
+    ),
     "speed zero": (
         lambda run: at_speed(run, 0.0).records(),
         "expected a positive forward speed, found at most 0 m/s",

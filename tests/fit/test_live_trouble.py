@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import shutil
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +16,11 @@ import tms_fit.running.live
 from tms_bag import Record, conversion, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
+from tms_fit.messages import estimate_records
 from tms_fit.running.live import LiveFit
 from tms_fit.settings import FitSettings
 from tms_model import linear_system, load_bicycle, response, yaw_rate
+from tms_model.catalogue import FOLDER
 from tms_model.frames import flip_axes
 
 SECOND = 1_000_000_000
@@ -145,9 +149,11 @@ def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
     assert [one.topic for one in answers if one.topic == "/filter_state"] == []
 
 
-def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past() -> None:
+# A bicycle of one's own may be named by its file; a message may not have files opened.
+@pytest.mark.parametrize("name", ["tandem", str(FOLDER / "tms_eq_10_1.yaml"), "../bicycles/tms_eq_10_1"])
+def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str) -> None:
     fit = LiveFit(FitSettings())
-    (wrong,) = conversion.run_info_records(replace(INFO, bicycle="tandem"))
+    (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name))
     assert fit.take(topics.RUN_INFO, wrong.data) == []
     assert fit.diagnostics["unknown_bicycle"] == 1
     assert fit.bicycle == ""
@@ -156,3 +162,15 @@ def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past() -> None
     answers = [*taken(fit, [announced()]), *fit.finish()]
     right = LiveFit(FitSettings())
     assert answers == [*taken(right, [announced(), *messages]), *right.finish()]
+
+
+def test_a_bicycle_of_ones_own_is_used_to_fit_once_more(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    shutil.copy(FOLDER / f"{INFO.bicycle}.yaml", mine)
+    fit = LiveFit(FitSettings(), str(mine))
+    answers = taken(fit, [announced(), *stream(SECOND, 1)]) + fit.finish()
+    strikes = [one for one in answers if one.topic == "/estimate"]
+    assert strikes
+    again = fit.refit(0, FitSettings())
+    assert again.bicycle == fit.bicycle == "mine"
+    assert estimate_records(again) == strikes[-len(again.estimates) :]

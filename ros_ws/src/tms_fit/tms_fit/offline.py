@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Recording, RecordingError
 from tms_bag.samples import RunInfo
-from tms_model import Bicycle, load_bicycle
+from tms_model import Bicycle, bicycle_names, load_bicycle
 from tms_model.bicycle import Array
 from tms_model.frames import quaternion
 from tqdm import tqdm
@@ -33,13 +33,19 @@ class RecordingFit:
 
 
 def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
-    """The bicycle asked for, else the one that the recording names. Raises RecordingError without either."""
-    found = name or (recording.run_info.bicycle if recording.run_info else "")
-    if not found:
+    """The bicycle asked for, by name or file, else the one of the catalogue that the recording names.
+
+    Raises ParameterError, and RecordingError where the recording names none: it may not have files opened.
+    """
+    if name:
+        return load_bicycle(name)
+    named = recording.run_info.bicycle if recording.run_info else ""
+    if named not in bicycle_names():
         raise RecordingError(
-            f"{recording.path}: expected a run_info that names the bicycle, found none; use --bicycle NAME"
+            f"{recording.path}: expected a run_info that names a bicycle of the catalogue, found"
+            f" {repr(named) if named else 'none'}; use --bicycle NAME or FILE"
         )
-    return load_bicycle(found)
+    return load_bicycle(named)
 
 
 Progress = Callable[[float, int], None]  # share of the samples used, strikes fitted so far

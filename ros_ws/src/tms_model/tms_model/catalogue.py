@@ -53,8 +53,11 @@ def _load(name: str, children: tuple[str, ...]) -> Bicycle:
     """As `load_bicycle`; `children` are those on whose behalf it is loaded."""
     if name.endswith(".txt"):
         return read_text_file(Path(name))
-    path = Path(name) if name.endswith((".yaml", ".yml")) else FOLDER / f"{name}.yaml"
-    if path.parent == FOLDER and name not in bicycle_names():
+    if name.endswith((".yaml", ".yml")):
+        path = Path(name)
+    elif name in bicycle_names():
+        path = FOLDER / f"{name}.yaml"
+    else:
         raise ParameterError(
             f"unknown bicycle {name!r}: expected one of {', '.join(bicycle_names())}, or the path of a .yaml"
             " file, or of a .txt file of BicycleParameters"

@@ -88,14 +88,13 @@ class Estimator(Node):
             self._outputs[record.topic].publish(record.data)
 
     def _report(self) -> Report:
-        waiting = not self._fit.bicycle
-        text = (
-            "waiting for run_info, or set the parameter bicycle"
-            if waiting
-            else f"bicycle {self._fit.bicycle}"
-        )
+        text = f"bicycle {self._fit.bicycle}"
+        if not self._fit.bicycle:
+            text = "waiting for run_info, or set the parameter bicycle"
+            if self._fit.counts["unknown_bicycle"]:
+                text = "run_info names no bicycle of the catalogue: set the parameter bicycle"
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
-        return text, not waiting and not lost, {**self._counts, **lost, **self._fit.slow_states}
+        return text, bool(self._fit.bicycle) and not lost, {**self._counts, **lost, **self._fit.slow_states}
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from tms_model import ParameterError
 
+from tms_fit.arguments import each_once
 from tms_fit.settings import FitSettings
 
 
@@ -20,13 +21,11 @@ def asked_for(base: FitSettings, request: Any) -> FitSettings:
             f"fixed_values: expected {len(request.fixed_names)}, one for each of fixed_names, found"
             f" {len(request.fixed_values)}"
         )
-    twice = sorted({name for name in request.fixed_names if request.fixed_names.count(name) > 1})
-    if twice:
-        raise ParameterError(f"fixed_names: expected each name once, found {', '.join(twice)} twice")
     return replace(
         base,
         free=tuple(request.free) or base.free,
-        fixed=dict(zip(request.fixed_names, request.fixed_values, strict=True)) or base.fixed,
+        fixed=each_once(zip(request.fixed_names, request.fixed_values, strict=True), "fixed_names")
+        or base.fixed,
         estimators=tuple(request.estimators) or base.estimators,
         window=request.window or base.window,
     )

@@ -7,12 +7,11 @@ announced, the fit begins anew.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import replace
 
 import numpy as np
 from tms_bag import Record, RecordingError, conversion, topics
 from tms_bag.samples import RunInfo
-from tms_model import ParameterError, load_bicycle
+from tms_model import Bicycle, ParameterError, bicycle_names, load_bicycle
 
 from tms_fit.estimators import check_names
 from tms_fit.kalman.extended_filter import SLOW
@@ -45,13 +44,12 @@ class LiveFit:
         preview_period: float = PREVIEW_PERIOD,
     ) -> None:
         """See `OnlineFit` for reorder_window and preview_period [s]; without a bicycle run_info names it."""
-        self.settings, self._given = settings, bicycle
+        self.settings = settings
         self._reorder_window, self._preview_period = reorder_window, preview_period
         check_names(settings.estimators)
-        if bicycle:
-            load_bicycle(bicycle)
+        self._given = load_bicycle(bicycle) if bicycle else None
+        self._announced: Bicycle | None = None  # by run_info, which may name those of the catalogue only
         self.counts: Counter[str] = Counter()
-        self.bicycle = ""
         self._info: RunInfo | None = None
         self._online: OnlineFit | None = None
         self._held: deque[tuple[str, Record]] = deque(maxlen=MOST_HELD)
@@ -94,14 +92,15 @@ class LiveFit:
             starts = ", ".join(f"{fit.start_ns / 1e9:.3f}" for _, fit in self._strikes) or "none"
             raise ParameterError(f"strike: expected one of {starts} [s], found {strike_ns / 1e9:.3f}")
         online, fit = found[-1]
-        return online.refit(fit, load_bicycle(bicycle or fit.bicycle), settings)
+        return online.refit(fit, load_bicycle(bicycle) if bicycle else online.bicycle, settings)
 
     def _announce(self, info: RunInfo) -> list[Record]:
         answers = self.finish() if self._online is not None and self._newest_ns else []
-        if info.bicycle and not self._given and not _is_known(info.bicycle):
+        self._info, self._announced = info, None
+        if info.bicycle in bicycle_names():
+            self._announced = load_bicycle(info.bicycle)
+        elif info.bicycle and self._given is None:
             self.counts["unknown_bicycle"] += 1
-            info = replace(info, bicycle="")
-        self._info = info
         return answers + self._begin()
 
     def _begin(self) -> list[Record]:
@@ -111,6 +110,12 @@ class LiveFit:
         while self._held:
             self._add(*self._held.popleft())
         return self._answers()
+
+    @property
+    def bicycle(self) -> str:
+        """Name of the bicycle; empty while it isn't known."""
+        bicycle = self._given or self._announced
+        return bicycle.name if bicycle else ""
 
     @property
     def diagnostics(self) -> dict[str, int]:
@@ -135,14 +140,13 @@ class LiveFit:
                 self._runs.append(self._online)
             if len(self._runs) > MOST_RUNS:
                 self._runs.popleft().forget()
-        name = self._given or (self._info.bicycle if self._info else "")
+        bicycle = self._given or self._announced
         self._newest_ns = 0
         self._online = None
-        if name:
-            self.bicycle = name
+        if bicycle:
             speed = self._info.speed if self._info else float("nan")
             self._online = OnlineFit(
-                load_bicycle(name),
+                bicycle,
                 self.settings,
                 orientation_of(self._info),
                 speed,
@@ -190,12 +194,3 @@ class LiveFit:
             else:
                 answers.append(filter_state_record(result))
         return answers
-
-
-def _is_known(bicycle: str) -> bool:
-    """Whether a bicycle that somebody else names can be had here; a wrong name must not end a node."""
-    try:
-        load_bicycle(bicycle)
-    except ParameterError:
-        return False
-    return True

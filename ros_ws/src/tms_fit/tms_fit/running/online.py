@@ -63,7 +63,7 @@ class OnlineFit:
         preview_period [s]: how often an unfolding response is fitted, by the first estimator; None: not.
         """
         check_names(settings.estimators)
-        self._bicycle, self._settings = bicycle, settings
+        self.bicycle, self._settings = bicycle, settings
         self._nominal_speed = settings.fixed.get("speed", nominal_speed)
         self._filter = _filter(bicycle, settings) if running_filter else None
         self._gyroscopes = Gyroscopes(imu_orientation, settings.gyroscope_range)
@@ -236,7 +236,7 @@ class OnlineFit:
         if last is None and not strike.sharp and strike.onset_ns < samples[0].time_ns + LEAST_HISTORY:
             return True  # a recording that begins in mid-swing looks like this
         try:
-            window = window_of(self._stretch_of(samples), self._bicycle, self._settings)
+            window = window_of(self._stretch_of(samples), self.bicycle, self._settings)
         except ParameterError:
             return False
         before = np.array([one.time_ns <= strike.onset_ns for one in samples])
@@ -264,7 +264,7 @@ class OnlineFit:
         strike = self._strikes.pop(0)
         end_ns = strike.time_ns + round(self._settings.window * NANOSECONDS)
         stretch, ending = self._response(strike, end_ns)
-        self._results.append(fit_strike(strike, stretch, self._bicycle, self._settings, ending=ending))
+        self._results.append(fit_strike(strike, stretch, self.bicycle, self._settings, ending=ending))
 
     def _response(self, strike: Strike, end_ns: int) -> tuple[Stretch, Ending | None]:
         """What belongs to the free response after a strike, up to a time, and what ended it sooner."""
@@ -300,7 +300,7 @@ class OnlineFit:
         strike = self._strikes[0]
         quick = replace(self._settings, estimators=self._settings.estimators[:1])
         stretch, _ = self._response(strike, now_ns)
-        self._results.append(fit_strike(strike, stretch, self._bicycle, quick, final=False))
+        self._results.append(fit_strike(strike, stretch, self.bicycle, quick, final=False))
 
     def _stretch(self, first_ns: int, last_ns: int) -> Stretch:
         return self._stretch_of(self._between(first_ns, last_ns))
