@@ -28,13 +28,15 @@ import numpy as np
 from tms_model import Bicycle, ParameterError
 from tms_model.acceleration import acceleration_stiffness, coasting_loss, parameters_under_acceleration
 from tms_model.bicycle import Array
-from tms_model.exponential import expm
+from tms_model.exponential import TERMS
 from tms_model.parameters import WhippleParameters
 from tms_model.response import first_order, torque_column
 
 MAX_STEP = 0.01  # [s]; a longer one is taken in parts
 SLOWEST = 0.1  # [m/s]; what comes to this speed keeps it
 _NODES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of a reach, through which K(v') is laid
+_POWERS = np.arange(float(len(_NODES)))
+_ORDERS = np.arange(1.0, TERMS + 1.0)[:, None, None]
 _REACHES = (0.5, 0.05, 0.005)  # [m/s^2]; the longest at which both wheels keep to the ground
 
 
@@ -74,15 +76,14 @@ class Coasting:
 
     def matrix(self, speed: float, acceleration: float) -> Array:
         """A(v, v') with the torque as fifth state (5, 5)."""
-        powers = acceleration ** np.arange(len(_NODES))
-        changing: Array = np.tensordot(powers, self._changing, axes=1)
+        changing: Array = (acceleration**_POWERS).dot(self._changing.reshape(-1, 25)).reshape(5, 5)
         return self._constant + speed * (self._linear + speed * self._square) + changing
 
     def step(self, duration: float, speed: float, resistance: float) -> CoastingStep:
         """A step of some seconds from a speed [m/s] on, slowed down by C_r = `resistance`."""
         parts = max(1, math.ceil(round(duration / MAX_STEP, 6)))
-        whole = CoastingStep(np.eye(5), np.zeros((5, 5)), np.zeros((5, 5)), speed, 0.0)
-        for _ in range(parts):
+        whole = self._part(duration / parts, speed, resistance)
+        for _ in range(1, parts):
             part = self._part(duration / parts, whole.speed, resistance)
             by_resistance = part.by_resistance + whole.speed_by_resistance * part.by_speed
             whole = CoastingStep(
@@ -107,22 +108,36 @@ class Coasting:
             _commutator(slope, first) + _commutator(at, 2.0 * change * self._square)
         )
         # By v': through the speed at the middle, and by itself.
-        counts = np.arange(1, len(_NODES))
-        bent = np.tensordot(counts * change ** (counts - 1.0), self._changing[1:], axes=1)
+        slopes = _POWERS[1:] * change ** _POWERS[:-1]
+        bent = slopes.dot(self._changing[1:].reshape(-1, 25)).reshape(5, 5)
         at_by, first_by = 0.5 * h * slope + bent, slope + change * h * self._square
         by_change = h * at_by + h**3 / 6.0 * change * self._square
         by_change -= h**3 / 12.0 * (_commutator(at_by, first) + _commutator(at, first_by))
-        blocks = np.zeros((2, 10, 10))
-        blocks[:, :5, :5] = blocks[:, 5:, 5:] = exponent
-        blocks[0, 5:, :5], blocks[1, 5:, :5] = by_speed, -loss * by_change
-        exponentials = expm(blocks)
-        return CoastingStep(
-            transition=exponentials[0, :5, :5],
-            by_speed=exponentials[0, 5:, :5],
-            by_resistance=exponentials[1, 5:, :5],
-            speed=speed + change * h,
-            speed_by_resistance=-loss * h,
-        )
+        transition, by_speed, by_resistance = _exponential(exponent, by_speed, -loss * by_change)
+        return CoastingStep(transition, by_speed, by_resistance, speed + change * h, -loss * h)
+
+
+def _exponential(exponent: Array, *directions: Array) -> list[Array]:
+    """exp W (k, k) and its derivatives along some dW: the first columns of the exponential of the module."""
+    size, count = len(exponent), len(directions)
+    norm = float(np.abs(exponent).sum(axis=0).max())
+    squarings = max(0, math.ceil(math.log2(norm)) + 1) if 0.0 < norm < math.inf else 0
+    block = np.zeros(((count + 1) * size, (count + 1) * size))
+    for k, direction in enumerate((exponent, *directions)):
+        part = slice(k * size, (k + 1) * size)
+        block[part, :size] = direction
+        block[part, part] = exponent
+    one = np.eye(len(block), size)
+    # Horner's scheme, as in `tms_model.exponential`, without the leading 1
+    factors = block / (2.0**squarings * _ORDERS)
+    change = factors[-1, :, :size]
+    for factor in factors[-2::-1]:
+        change = factor.dot(one + change)
+    change, slopes = change[:size], change[size:].reshape(count, size, size)
+    for _ in range(squarings):
+        slopes = 2.0 * slopes + change @ slopes + slopes @ change
+        change = 2.0 * change + change @ change
+    return [one[:size] + change, *slopes]
 
 
 def _stiffness_polynomial(p: WhippleParameters) -> Array:

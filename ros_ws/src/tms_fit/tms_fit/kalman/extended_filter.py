@@ -152,12 +152,12 @@ class ExtendedFilter(RunningFilter):
             self._speed_ns = speed_ns
         measured, noise, good = self._rates(angular_velocity, variance)
         if any(good):
-            rows = np.flatnonzero(good)
+            rows = slice(None) if all(good) else np.flatnonzero(good)
             kalman.update(
                 measured[rows],
                 HJacobian=lambda x: self.measurement_jacobian(x)[rows],
                 Hx=lambda x: self.measurement(x)[rows],
-                R=noise[np.ix_(rows, rows)],
+                R=noise[rows][:, rows],
             )
         self._remember(time_ns)
         return replace(
@@ -170,7 +170,7 @@ class ExtendedFilter(RunningFilter):
         """Lean rate and yaw rate (2, 1) that the gyroscopes show in a state (8, 1)."""
         lean_rate = state[LEAN_RATE] + state[4]
         yaw_rate = self._rows[1, :4] @ state[:4] + (self._turn * state[SPEED] * state[STEER]) + state[5]
-        return np.stack([lean_rate, yaw_rate])
+        return np.array([lean_rate, yaw_rate])
 
     def measurement_jacobian(self, state: Array) -> Array:
         """Its derivative by the state (2, 8)."""
