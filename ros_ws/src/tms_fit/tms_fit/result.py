@@ -135,14 +135,18 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
         when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
         speed = f"{strike.window.start_speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
+            doubted = strike.doubt is not None and estimate.names == strike.estimates[0].names
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
+            mark += " ?" if doubted else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
     lines.extend(_reasons(fit))
     stated = stated_noise(fit.recording, fit.settings)
     for one in fit.strikes:
         when = (one.start_ns - first_stamp(fit.recording)) / 1e9
         lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked, stated))
-    if any(line.endswith(" *") for line in lines):
+    if any(one.doubt for one in fit.strikes):
+        lines.append("? doubtful, as told above: no interval covers a wrong model")
+    if any(line.removesuffix(" ?").endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:
         least = StrikeSettings().least_change

@@ -11,6 +11,7 @@ from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 
+from tms_fit.criticism.doubt import Doubt, doubt
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
@@ -60,6 +61,7 @@ class StrikeFit:
     bicycle: str
     final: bool = True  # False: more of this response is still to come
     ending: Ending | None = None  # what ended the response before the window did; None: nothing
+    doubt: Doubt | None = None  # why the first estimate may be wrong by more than its interval, if final
 
     @property
     def start_ns(self) -> int:
@@ -116,7 +118,7 @@ def fit_strike(
         window = window_of(stretch, bicycle, settings)
     except ParameterError as error:
         estimates = tuple(Estimate(name, "not_observable", str(error)) for name in settings.estimators)
-        return StrikeFit(strike, stretch, None, _told(estimates, ending), bicycle.name, final, ending)
+        return StrikeFit(strike, stretch, None, _told(estimates, ending, None), bicycle.name, final, ending)
     if strike.sharp:
         window = refine_start(window, settings, (strike.time_ns - strike.before_ns) / 1e9)
     elif strike.end_ns < strike.time_ns:
@@ -124,15 +126,22 @@ def fit_strike(
         window = replace(window, delay=delay, delay_std=strike.end_std)
     found = (ESTIMATORS[name](window, settings) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
-    return StrikeFit(strike, stretch, window, _told(estimates, ending), bicycle.name, final, ending)
+    why = doubt(window, settings, estimates[0]) if final and estimates else None
+    told = _told(estimates, ending, why)
+    return StrikeFit(strike, stretch, window, told, bicycle.name, final, ending, why)
 
 
-def _told(estimates: tuple[Estimate, ...], ending: Ending | None) -> tuple[Estimate, ...]:
-    """The estimates, their messages with what cut the window short."""
-    if ending is None:
-        return estimates
-    why = f"window {max(ending.time, 0.0):.2f} s: {ending.why}"
-    return tuple(replace(one, message=f"{one.message}; {why}") for one in estimates)
+def _told(estimates: tuple[Estimate, ...], ending: Ending | None, why: Doubt | None) -> tuple[Estimate, ...]:
+    """The estimates, their messages with what cut the window short and what makes them doubtful.
+
+    The doubt is about the first estimate, and about others of the same unknowns.
+    """
+    cut = f"; window {max(ending.time, 0.0):.2f} s: {ending.why}" if ending else ""
+    told = []
+    for one in estimates:
+        doubted = f"; {why.sentence}" if why and one.names == estimates[0].names else ""
+        told.append(replace(one, message=f"{one.message}{cut}{doubted}"))
+    return tuple(told)
 
 
 def _speed(stretch: Stretch, settings: FitSettings) -> SpeedCurve:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from tms_bag import BagWriter, read_recording, topics
-from tms_fit.offline import bicycle_of, fit_recording
+from tms_fit.offline import bicycle_of, first_stamp, fit_recording
 from tms_fit.settings import FitSettings
 from tms_fit.strike_fit import StrikeFit
 from tms_model import ParameterError
@@ -43,6 +43,7 @@ class Campaign:
     runs: int  # of each combination
     seed: int  # of the first run of each; the next has the next seed
     settings: FitSettings
+    given: bool = False  # the fit is told when each impulse ended; else it looks for the strikes
 
     def __post_init__(self) -> None:
         if not 1 <= self.runs * len(self.combinations) <= MOST_RUNS:
@@ -67,7 +68,8 @@ class Campaign:
     def mark(self) -> str:
         """Twelve digits that two campaigns share only if their rows may stand in one table."""
         scenario = load_scenario(self.scenario, dict(self.changes)).to_yaml()
-        return sha256(f"{__version__}\n{scenario}\n{self.settings}".encode()).hexdigest()[:12]
+        text = f"{__version__}\n{scenario}\n{self.settings}\n{self.given}"
+        return sha256(text.encode()).hexdigest()[:12]
 
     def scenario_of(self, combination: Mapping[str, Any], seed: int) -> Scenario:
         """The scenario of one run; `sim run` with the same --set and --seed rides it again."""
@@ -92,6 +94,7 @@ class Row:
     high: float = NAN
     vaf_lean_rate: float = NAN
     vaf_yaw_rate: float = NAN
+    doubted: int = 0  # 1: the answer says that the model may be wrong, which no interval covers
 
     @property
     def error(self) -> float:
@@ -141,7 +144,8 @@ def ride_one(campaign: Campaign, combination: Mapping[str, Any], seed: int) -> I
             for record in run.records():
                 bag.write(record, topics.qos_of(record.topic))
         recording = read_recording(path)
-        fits = fit_recording(recording, bicycle_of(recording, None), campaign.settings).strikes
+    given = _given(run, scenario, first_stamp(recording)) if campaign.given else ()
+    fits = fit_recording(recording, bicycle_of(recording, None), campaign.settings, given).strikes
     rows = _judged(run, list(fits), partial(true_time, scenario))
     for number, row in enumerate(rows, start=1):
         yield Row(told(combination), seed, number, len(rows), **row)
@@ -154,21 +158,32 @@ def true_time(scenario: Scenario, stamp_ns: int) -> float:
     return (since - offset) / (1.0 + drift)
 
 
+def _given(run: SimulatedRun, scenario: Scenario, first_ns: int) -> tuple[float, ...]:
+    """Ends of the impulses as the sensor's clock has them [s since the recording's first stamp]."""
+    offset, drift = scenario.number("wireless.clock_offset"), scenario.number("wireless.clock_drift")
+    start = scenario.integer("start_time_ns")
+    return tuple((start - first_ns) / 1e9 + end * (1.0 + drift) + offset for end in _ends(run))
+
+
+def _ends(run: SimulatedRun) -> list[float]:
+    """When each impulse ended [s since the start]."""
+    struck = (one for one in run.events if one.kind == "strike")
+    return [(one.time_ns - run.info.start_ns) / 1e9 + one.duration for one in struck]
+
+
 def _judged(
     run: SimulatedRun, fits: list[StrikeFit], true_time: Callable[[int], float]
 ) -> list[dict[str, Any]]:
     """Figures of each strike, by time: each true one with the nearest found."""
     rows: list[dict[str, Any]] = []
-    ends = [
-        (one.time_ns - run.info.start_ns) / 1e9 + one.duration for one in run.events if one.kind == "strike"
-    ]
     left = {true_time(fit.start_ns): fit for fit in fits}
-    for end in ends:
+    for end in _ends(run):
         near = min(left, key=lambda start, end=end: abs(start - end), default=NAN)  # type: ignore[misc]
         if not abs(near - end) <= SAME:
             rows.append({"status": "missed", "time": end})
             continue
-        rows.append({"time": end, "late": near - end, **_figures(run, left.pop(near), near, end)})
+        figures = _figures(run, left.pop(near), near, end)
+        rows.append({"time": end, "late": near - end, **figures})
     rows += [{"status": "false", "time": start} for start in left]
     return sorted(rows, key=lambda row: float(row["time"]))
 
@@ -176,14 +191,15 @@ def _judged(
 def _figures(run: SimulatedRun, fit: StrikeFit, start: float, end: float) -> dict[str, Any]:
     """What the estimate says and what is true, where the free response found begins at start [s].
 
-    A sharp strike's instant is estimated, and its uncertainty is in the interval: truth is what was right
-    after it, at `end` [s]. Any other start is what somebody said it is, and truth that of its instant.
+    Where the impulse's end is estimated and its uncertainty is in the interval, truth is what was right after
+    it, at `end` [s]. Any other start is taken for exact, and truth is that of its instant.
     """
     (one,) = fit.estimates
     if one.status != "ok" or "initial_lean_rate" not in one.names:
         return {"status": one.status}
     index = one.names.index("initial_lean_rate")
-    instant = end if fit.strike.sharp else max(start, end)
+    assert fit.window is not None
+    instant = end if fit.window.delay_std else max(start, end)
     return {
         "status": one.status,
         "truth": float(run.trajectory.at(np.array([instant])).lean_rate[0]),
@@ -192,4 +208,5 @@ def _figures(run: SimulatedRun, fit: StrikeFit, start: float, end: float) -> dic
         "low": float(one.ci95[index, 0]),
         "high": float(one.ci95[index, 1]),
         **{f"vaf_{channel}": value for channel, value in one.vaf.items()},
+        "doubted": int(fit.doubt is not None),
     }

@@ -51,6 +51,11 @@ def add_campaign(commands: Any) -> None:
         help="a setting of the fit, e.g. noise=ar, window=1.0, free=[initial_lean_rate]; may be repeated",
     )
     command.add_argument(
+        "--given",
+        action="store_true",
+        help="tell the fit when each impulse ended, so that what is off isn't the detector's doing",
+    )
+    command.add_argument(
         "-o",
         "--output",
         help="CSV with a row per strike, written run by run; a campaign that was interrupted goes on there",
@@ -68,6 +73,7 @@ def run_campaign(arguments: argparse.Namespace) -> None:
         arguments.runs,
         arguments.seed,
         _settings(arguments.fit, arguments.estimator),
+        arguments.given,
     )
     if arguments.output:
         table = CampaignFile(Path(arguments.output), campaign)

@@ -18,7 +18,7 @@ from tms_study.campaign import Campaign, Row
 
 MARK = "campaign"
 FIGURES = tuple(field.name for field in fields(Row))[1:]  # after the combination
-TEXTS, WHOLE = ("status",), ("seed", "number", "of")
+TEXTS, WHOLE = ("status",), ("seed", "number", "of", "doubted")
 
 
 class CampaignFile:

@@ -35,6 +35,11 @@ class Summary:
     covered_low: float  # 95 % interval of that share (Wilson)
     covered_high: float
     vaf: float  # median, lean rate
+    doubted: float  # share of the answers that say themselves that the model may be wrong
+    sure: int  # answers that don't
+    sure_covered: float  # share of those whose interval holds the truth
+    sure_low: float  # 95 % interval of that share (Wilson)
+    sure_high: float
 
     @property
     def bias_std(self) -> float:
@@ -43,8 +48,8 @@ class Summary:
 
     @property
     def honest(self) -> bool:
-        """Whether the share of intervals that hold the truth may be 95 %."""
-        return not self.fitted or self.covered_low <= NOMINAL <= self.covered_high
+        """Whether 95 % of the intervals hold, as far as one can tell: of answers that raise no doubt."""
+        return not self.sure or self.sure_low <= NOMINAL <= self.sure_high
 
 
 def summarise(campaign: Campaign, rows: list[Row]) -> list[Summary]:
@@ -64,6 +69,7 @@ def to_json(campaign: Campaign, summaries: list[Summary]) -> dict[str, Any]:
         "vary": {key: list(values) for key, values in campaign.varied.items()},
         "seed": campaign.seed,
         "runs": campaign.runs,
+        "given": campaign.given,
         "combinations": [{**vars(one), "bias_std": one.bias_std, "honest": one.honest} for one in summaries],
     }
 
@@ -76,30 +82,43 @@ def to_text(campaign: Campaign, summaries: list[Summary]) -> str:
     lines = [
         f"{campaign.scenario}: initial lean rate of {campaign.runs} runs each, estimate less truth [rad/s]",
         f"{first} {'struck':>6} {'missed':>6} {'false':>5} {'bias':>18} {'sd':>8} {'stated':>8} {'bound':>8}"
-        f" {'95 % hold':>18} {'VAF':>6}",
+        f" {'95 % hold':>18} {'VAF':>6} {'doubted':>7} {'of the others hold':>18}",
     ]
     for one in summaries:
         own = " ".join(
             f"{value!s:>{width}}" for value, width in zip(one.combination.values(), widths, strict=True)
         )
         bias = f"{one.bias:+.2g} +- {one.bias_std:.1g}"
-        hold = f"{one.covered:.2f} ({one.covered_low:.2f}-{one.covered_high:.2f})"
+        hold = _share(one.covered, one.covered_low, one.covered_high)
+        others = _share(one.sure_covered, one.sure_low, one.sure_high)
         lines.append(
             f"{own} {one.struck:6} {one.missed:6} {one.false:5} {bias:>18}"
             f" {one.std:8.2g} {one.stated:8.2g} {one.bound:8.2g} {hold:>18} {one.vaf:6.3f}"
-            + ("" if one.honest else "  intervals are not 95 %")
+            f" {one.doubted:7.2f} {others:>18}" + ("" if one.honest else "  intervals are not 95 %")
         )
     return "\n".join(lines)
 
 
+def _share(share: float, low: float, high: float) -> str:
+    return f"{share:.2f} ({low:.2f}-{high:.2f})" if math.isfinite(share) else "-"
+
+
+def _covered(rows: list[Row]) -> tuple[float, float, float]:
+    """Share of the intervals that hold the truth, and its own 95 % interval; NaN of no rows."""
+    if not rows:
+        return math.nan, math.nan, math.nan
+    hold = sum(row.covered for row in rows)
+    interval = binomtest(hold, len(rows)).proportion_ci(method="wilson")
+    return hold / len(rows), float(interval.low), float(interval.high)
+
+
 def _summary(campaign: Campaign, combination: dict[str, Any], rows: list[Row]) -> Summary:
     fitted = [row for row in rows if row.status == "ok" and not math.isnan(row.estimate)]
+    sure = [row for row in fitted if not row.doubted]
     error = np.array([row.error for row in fitted])
     nothing = float("nan")
-    low, high = nothing, nothing
-    if fitted:
-        interval = binomtest(sum(row.covered for row in fitted), len(fitted)).proportion_ci(method="wilson")
-        low, high = float(interval.low), float(interval.high)
+    covered, low, high = _covered(fitted)
+    sure_covered, sure_low, sure_high = _covered(sure)
     return Summary(
         combination=combination,
         runs=len({row.seed for row in rows}),
@@ -111,10 +130,15 @@ def _summary(campaign: Campaign, combination: dict[str, Any], rows: list[Row]) -
         std=float(error.std(ddof=1)) if len(fitted) > 1 else nothing,
         stated=math.sqrt(np.mean([row.std**2 for row in fitted])) if fitted else nothing,
         bound=_bound(campaign, combination),
-        covered=float(np.mean([row.covered for row in fitted])) if fitted else nothing,
+        covered=covered,
         covered_low=low,
         covered_high=high,
         vaf=float(np.median([row.vaf_lean_rate for row in fitted])) if fitted else nothing,
+        doubted=1.0 - len(sure) / len(fitted) if fitted else nothing,
+        sure=len(sure),
+        sure_covered=sure_covered,
+        sure_low=sure_low,
+        sure_high=sure_high,
     )
 
 

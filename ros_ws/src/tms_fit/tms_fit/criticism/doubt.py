@@ -1,8 +1,11 @@
-"""When residuals are coloured: the one unknown more that would explain the most of them.
+"""What speaks for a wrong model, which moves an estimate by as much as it likes; no interval covers that.
 
-An interval for coloured noise covers what a noise like this does to the estimate. It doesn't cover a wrong
-model, which moves the estimate by as much as it likes. So the plain answer says what may be missing; whether
-it is, `tms_fit.criticism.hypotheses` tests.
+Coloured residuals: an interval for coloured noise covers what a noise like this does to the estimate. Beside
+it the plain answer says which one unknown more would explain the most; whether it is missing,
+`tms_fit.criticism.hypotheses` tests.
+
+Unknowns that stand in for what is missing: with enough of them free the residuals of a wrong model are white
+as well, but then a gyroscope's bias or an angle at the start comes out as none can be.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.alternation import FINEST
 from tms_fit.least_squares.noise.autoregressive import remembers
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
@@ -29,21 +33,40 @@ CANDIDATES = (
 STEEPEST = 0.1  # [rad] of mounting pitch; nobody mounts a sensor worse without knowing
 LEAST_SHARE = 0.1  # of the residuals' standard deviation that an unknown must explain to be named
 LEAST_BIC = 10.0  # by which it must lower BIC under white noise
+LARGEST = {  # that an unknown can be, and what it then is [rad/s], [rad]
+    "lean_rate_bias": (0.05, "a gyroscope's bias"),
+    "yaw_rate_bias": (0.05, "a gyroscope's bias"),
+    "initial_lean": (0.5, "an angle for small-angle equations"),
+    "initial_steer": (0.5, "an angle for small-angle equations"),
+}
+BEYOND = 3.0  # standard errors by which it must be larger
 
 
 @dataclass(frozen=True)
 class Doubt:
     """Why an estimate may be wrong by more than its interval."""
 
-    parameter: str  # that would explain the most of the residuals; empty: none of those tried does
+    parameter: str  # that would explain the most of the residuals, or that can't be as found; empty: none
     sentence: str
 
 
 def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:
-    """What the residuals of an estimate make doubtful; None where neighbouring ones are not alike."""
-    if estimate.status != "ok" or not remembers(_unexplained(estimate)):
+    """What makes an estimate doubtful; None where nothing does."""
+    if estimate.status != "ok" or _rounding(window, estimate):
         return None
-    start = "doubtful: neighbouring residuals are alike, and the interval doesn't cover a wrong model"
+    found = [one for one in (_alike(window, settings, estimate), _impossible(settings, estimate)) if one]
+    if not found:
+        return None
+    names = [one.parameter for one in found if one.parameter]
+    said = "; ".join(one.sentence for one in found)
+    return Doubt(names[0] if names else "", f"doubtful: {said}; --hypotheses tests more")
+
+
+def _alike(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:
+    """Neighbouring residuals that are alike, and which one unknown more would explain the most of them."""
+    if not remembers(_unexplained(estimate)):
+        return None
+    start = "neighbouring residuals are alike, and the interval doesn't cover a wrong model"
     narrow = _with((), window, settings, estimate)
     fits = {
         name: _with((name,), window, settings, estimate) for name in _candidates(window, settings, estimate)
@@ -53,8 +76,34 @@ def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | 
         name, best = min(wider.items(), key=lambda one: one[1].bic)
         falls = best.residual_std < (1.0 - LEAST_SHARE) * narrow.residual_std
         if falls and best.bic < narrow.bic - LEAST_BIC:
-            return Doubt(name, f"{start}; {_in_words(name, narrow, best)}; --hypotheses tests more")
-    return Doubt("", f"{start}; no single unknown more explains it; --hypotheses tests more")
+            return Doubt(name, f"{start}; {_in_words(name, narrow, best)}")
+    return Doubt("", f"{start}; no single unknown more explains it")
+
+
+def _impossible(settings: FitSettings, estimate: Estimate) -> Doubt | None:
+    """The unknown that is the farthest beyond what it can be, if nobody said that it is."""
+    said: dict[str, tuple[float, str]] = {}
+    for name, value, std in zip(estimate.names, estimate.values, estimate.std, strict=True):
+        if name not in LARGEST or name in settings.priors:
+            continue
+        limit, what = LARGEST[name]
+        beyond = (abs(float(value)) - limit) / limit
+        if abs(float(value)) > limit + BEYOND * float(std):
+            text = (
+                f"{name} {value:+.3g} +- {std:.2g} is too large for {what} and may stand in for something"
+                " that the model misses, which no interval covers"
+            )
+            said[name] = (beyond, text)
+    if not said:
+        return None
+    worst = max(said, key=lambda name: said[name][0])
+    return Doubt(worst, said[worst][1])
+
+
+def _rounding(window: Window, estimate: Estimate) -> bool:
+    """Whether the residuals are finer than any gyroscope's, as those of a sensor without noise."""
+    largest = np.nanmax(np.abs(window.measured), initial=0.0)
+    return bool(np.nanmax(np.abs(estimate.residual), initial=0.0) <= FINEST * largest)
 
 
 def _unexplained(estimate: Estimate) -> Array:

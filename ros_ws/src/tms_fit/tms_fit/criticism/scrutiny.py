@@ -7,7 +7,6 @@ from collections.abc import Collection
 from typing import Any
 
 from tms_fit.criticism.budget import Budget, error_budget
-from tms_fit.criticism.doubt import Doubt, doubt
 from tms_fit.criticism.hypotheses import Verdict, verdicts
 from tms_fit.criticism.residuals import criticise
 from tms_fit.criticism.stated_noise import StatedNoise
@@ -21,7 +20,7 @@ ASKED = ("hypotheses", "budget")
 
 def scrutiny_json(fit: StrikeFit, settings: FitSettings, asked: Collection[str]) -> dict[str, Any]:
     """What makes the first estimate doubtful, and what is asked, by name; null: nothing to say."""
-    about = _doubt_of(fit, settings)
+    about = fit.doubt
     found: dict[str, Any] = {
         "doubt": {"parameter": about.parameter or None, "sentence": about.sentence} if about else None
     }
@@ -43,7 +42,7 @@ def scrutiny_lines(
         return lines
     if fit.estimates[0].chosen:
         lines.append(f"chosen: {'; '.join(fit.estimates[0].chosen)}")
-    about = _doubt_of(fit, settings)
+    about = fit.doubt
     if about:
         lines.append(about.sentence)
     criticism = criticise(fit.window, fit.estimates[0], stated)
@@ -98,10 +97,6 @@ def _verdict(one: Verdict) -> dict[str, Any]:
         "sentence": one.sentence,
         **{name: value if math.isfinite(value) else None for name, value in figures.items()},
     }
-
-
-def _doubt_of(fit: StrikeFit, settings: FitSettings) -> Doubt | None:
-    return doubt(fit.window, settings, fit.estimates[0]) if fit.window is not None else None
 
 
 def _budget_of(fit: StrikeFit, settings: FitSettings) -> Budget | None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.alternation import fit_problem
 from tms_fit.least_squares.answer import answer, in_order, too_short
@@ -18,6 +20,8 @@ from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 
 OF = "initial_lean_rate"
+ROUNDED = 1e-9 / math.sqrt(12.0)  # [s], deviation of an instant that is a whole nanosecond
+PLACES = 401  # of an instant between two samples
 CERTAIN = 20.0  # by which what nobody asked for must lower BIC to be believed
 
 
@@ -87,19 +91,48 @@ def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
 
 
 def refine_start(window: Window, settings: FitSettings, longest_delay: float) -> Window:
-    """The window with the strike's instant between two samples estimated: the best-fitting delay.
+    """The window with the strike's instant between two samples estimated.
 
-    The delay [s] lies between 0 and `longest_delay`. Its standard deviation is that of least squares, at most
-    that of a uniform guess.
+    The delay [s] lies between 0 and `longest_delay`, anywhere with the same probability before the response
+    is seen; it is dated by the unknowns that the response asks for. A start that is upright and straight and
+    one that isn't differ most in the first samples, so that an instant found with the wrong one is wrong.
     """
     window = replace(window, longest_delay=longest_delay)
-    problem = choose(window, settings).problem
+    first = choose(window, settings)
+    window = _dated(window, first, settings)
+    decided, _ = decide(window, settings)
+    return window if decided.free == first.free else _dated(window, decided, settings)
+
+
+def _dated(window: Window, choice: Choice, settings: FitSettings) -> Window:
+    """The window with the mean and the deviation of the instant, given the response.
+
+    Least squares leaves a normal distribution, which ends at the two samples: at one of them neither its peak
+    nor its width is an instant and its deviation.
+    """
+    problem, longest = choice.problem, window.longest_delay
     if "strike_time" in {*problem.names, *problem.known} or too_short(problem):
         return window
     joint = replace(problem, nonlinear=(*problem.nonlinear, "strike_time"))
-    solution = fit_problem(joint, "white", Loss(settings.loss)).solution
-    if solution.status != "ok":
-        return window
-    uniform = longest_delay / math.sqrt(12.0)
-    std = min(math.sqrt(float(solution.inverse[-1, -1])), uniform)
-    return replace(window, delay=round(-float(solution.values[-1]), 9), delay_std=std)  # stamps: nanoseconds
+    solution = fit_problem(joint, choice.noise, Loss(settings.loss), settings.oscillator).solution
+    mean, std = 0.5 * longest, longest / math.sqrt(12.0)  # as where the response tells nothing
+    if solution.status == "ok":
+        beyond = solution.of_rows[-1] @ solution.jacobian.T @ solution.rows  # not 0 at an end
+        peak, spread = -float(solution.values[-1] + beyond), math.sqrt(float(solution.inverse[-1, -1]))
+        mean, std = within(peak, spread, longest)
+    return replace(window, delay=round(mean, 9), delay_std=math.hypot(std, ROUNDED))
+
+
+def within(peak: float, spread: float, longest: float) -> tuple[float, float]:
+    """Mean and deviation of a normal distribution of which only what lies between 0 and `longest` counts."""
+    near = min(max(peak, 0.0), longest)
+    if not spread > 0.0:
+        return near, 0.0
+    # as far from the likeliest place as the density isn't e^-50 of what it is there
+    outside = abs(peak - near)
+    reach = 100.0 * spread**2 / (math.sqrt(outside**2 + 100.0 * spread**2) + outside)
+    places = np.linspace(max(near - reach, 0.0), min(near + reach, longest), PLACES)
+    weight = np.exp(-0.5 * (places - near) * (places + near - 2.0 * peak) / spread**2)
+    weight[[0, -1]] *= 0.5
+    mean = float(weight @ places / weight.sum())
+    return mean, math.sqrt(float(weight @ (places - mean) ** 2 / weight.sum()))

@@ -7,7 +7,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.least_squares.answer import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.report.element import Element, element
-from tms_fit.report.rounding import decimals, fixed, number
+from tms_fit.report.rounding import as_sentence, decimals, fixed, number
 from tms_fit.running.online import StrikeFit
 
 NAME = "initial_lean_rate"
@@ -29,6 +29,7 @@ def sentence(fit: RecordingFit, index: int) -> Element:
         *_initial(estimate),
         *_agreement(fit, strike, estimate),
         _caution(estimate),
+        *_doubt(strike),
         class_="result",
     )
 
@@ -70,6 +71,12 @@ def _agreement(fit: RecordingFit, strike: StrikeFit, estimate: Estimate) -> list
         f"Over the following {fixed(span, 2)} s the model of {fit.bicycle.name} at"
         f" {fixed(strike.window.start_speed, 2)} m/s accounts for {' and '.join(shares)}. "
     ]
+
+
+def _doubt(strike: StrikeFit) -> list[Element | str]:
+    if strike.doubt is None:
+        return []
+    return [" ", element("strong", as_sentence(strike.doubt.sentence), class_="caution doubt")]
 
 
 def _caution(estimate: Estimate) -> Element | None:

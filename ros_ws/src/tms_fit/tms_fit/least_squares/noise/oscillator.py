@@ -103,7 +103,10 @@ def _places(axis: Array, value: float, even: bool, far: float) -> Array:
 
 
 def _grid(axes: Sequence[Array]) -> Array:
-    return np.array(list(product(*axes)))
+    frequencies, *others = axes
+    if len(frequencies) > 1:  # not stated
+        frequencies = np.unique(np.maximum(frequencies, SLOWEST))
+    return np.array(list(product(frequencies, *others)))
 
 
 def _log_likelihoods(grid: Array, times: Sequence[Array], residuals: Sequence[Array]) -> Array:
