@@ -12,6 +12,10 @@ from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 
 FREE = ("initial_lean_rate",)
+TAKEN = (
+    "a start upright and straight, a level and unbiased sensor, a constant speed and white noise are taken for"
+    " true, so that the interval is too short where they aren't"
+)
 
 
 def estimate(window: Window, settings: FitSettings) -> Estimate:
@@ -32,4 +36,7 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
         loss="squares",
     )
     answer = fit_choice("som2011", choose(constant, plain), plain)
-    return replace(answer, message=answer.message.replace("linear least squares", "least squares as in 2011"))
+    if answer.status != "ok":
+        return answer
+    words = answer.message.replace("linear least squares", "least squares as in 2011")
+    return replace(answer, message=f"{words}; {TAKEN}")
