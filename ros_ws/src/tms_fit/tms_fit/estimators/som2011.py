@@ -13,8 +13,8 @@ from tms_fit.window import Window
 
 FREE = ("initial_lean_rate",)
 TAKEN = (
-    "a start upright and straight, a level and unbiased sensor, a constant speed and white noise are taken for"
-    " true, so that the interval is too short where they aren't"
+    "a start upright and straight, a level and unbiased sensor, a constant speed and white noise are taken"
+    " for true, so that the interval is too short where they aren't"
 )
 
 
