@@ -96,7 +96,7 @@ def test_a_bag_is_fitted_with_progress(nodes: Any, participant: Any, bag: Path) 
         ({"bag": str(fifo)}, "isn't a file"),
         ({"bag": str(bag.parent)}, "expected a bag"),
         ({"bag": str(bag), "window": float("nan")}, "window: expected"),
-        ({"bag": str(bag), "fixed_names": ["speed"] * 2, "fixed_values": [1.0, 2.0]}, "speed twice"),
+        ({"bag": str(bag), "fixed_names": ["speed"] * 2, "fixed_values": [1.0, 2.0]}, "speed: expected each"),
     ):
         status, result = ask(**wrong)
         assert status == GoalStatus.STATUS_ABORTED
