@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tms_model import ParameterError
-from tms_sim.sensors.wireless import Link, deliver, sensor_clock
+from tms_sim.sensors.wireless import Link, deliver, host_clock, sensor_clock
 
 PERFECT = Link(
     reach=100.0, loss=0.0, burst_start=0.0, burst_end=1.0, burst_loss=1.0, latency=0.0, jitter=0.0,
@@ -104,6 +104,13 @@ def test_sensor_clock_by_hand() -> None:
     np.testing.assert_array_equal(shown, [START + 2_000_000, START + 10 * 10**9 + 2_500_000])
     with pytest.raises(ParameterError, match=r"wireless\.clock_offset"):
         sensor_clock(np.array([START]), link(clock_offset=-1.5), START)
+
+
+def test_host_clock_undoes_the_sensors_by_hand() -> None:
+    way = link(clock_offset=2e-3, clock_drift=50e-6)
+    stamps = np.array([START + 2_000_000, START + 10 * 10**9 + 2_500_000])
+    np.testing.assert_array_equal(host_clock(stamps, way, START), [START, START + 10 * 10**9])
+    np.testing.assert_array_equal(host_clock(sensor_clock(TIMES, way, START), way, START), TIMES)
 
 
 def test_one_effect_does_not_change_the_draws_of_another() -> None:

@@ -10,7 +10,6 @@ import itertools
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,6 +23,8 @@ from tms_fit.strike_fit import StrikeFit
 from tms_model import ParameterError
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import Scenario, load_scenario
+from tms_sim.sensors.imu_stream import link_of
+from tms_sim.sensors.wireless import host_clock, sensor_clock
 from tqdm import tqdm
 
 from tms_study import __version__
@@ -144,25 +145,18 @@ def ride_one(campaign: Campaign, combination: Mapping[str, Any], seed: int) -> I
             for record in run.records():
                 bag.write(record, topics.qos_of(record.topic))
         recording = read_recording(path)
-    given = _given(run, scenario, first_stamp(recording)) if campaign.given else ()
-    fits = fit_recording(recording, bicycle_of(recording, None), campaign.settings, given).strikes
-    rows = _judged(run, list(fits), partial(true_time, scenario))
+    link, start_ns = link_of(scenario), run.info.start_ns
+    given: tuple[float, ...] = ()  # ends of the impulses, as the sensor's clock has them
+    if campaign.given:
+        ends_ns = start_ns + np.round(1e9 * np.array(_ends(run))).astype(np.int64)
+        stamps = sensor_clock(ends_ns, link, start_ns)
+        given = tuple(((stamps - first_stamp(recording)) / 1e9).tolist())
+    bicycle = bicycle_of(recording, scenario.text("bicycle"))
+    fits = fit_recording(recording, bicycle, campaign.settings, given).strikes
+    starts = host_clock(np.array([fit.start_ns for fit in fits], np.int64), link, start_ns)
+    rows = _judged(run, dict(zip(((starts - start_ns) / 1e9).tolist(), fits, strict=True)))
     for number, row in enumerate(rows, start=1):
         yield Row(told(combination), seed, number, len(rows), **row)
-
-
-def true_time(scenario: Scenario, stamp_ns: int) -> float:
-    """Time [s since the start] of a stamp by the sensor's clock, which may be ahead and run fast."""
-    since = (stamp_ns - scenario.integer("start_time_ns")) / 1e9
-    offset, drift = scenario.number("wireless.clock_offset"), scenario.number("wireless.clock_drift")
-    return (since - offset) / (1.0 + drift)
-
-
-def _given(run: SimulatedRun, scenario: Scenario, first_ns: int) -> tuple[float, ...]:
-    """Ends of the impulses as the sensor's clock has them [s since the recording's first stamp]."""
-    offset, drift = scenario.number("wireless.clock_offset"), scenario.number("wireless.clock_drift")
-    start = scenario.integer("start_time_ns")
-    return tuple((start - first_ns) / 1e9 + end * (1.0 + drift) + offset for end in _ends(run))
 
 
 def _ends(run: SimulatedRun) -> list[float]:
@@ -171,12 +165,10 @@ def _ends(run: SimulatedRun) -> list[float]:
     return [(one.time_ns - run.info.start_ns) / 1e9 + one.duration for one in struck]
 
 
-def _judged(
-    run: SimulatedRun, fits: list[StrikeFit], true_time: Callable[[int], float]
-) -> list[dict[str, Any]]:
-    """Figures of each strike, by time: each true one with the nearest found."""
+def _judged(run: SimulatedRun, fits: Mapping[float, StrikeFit]) -> list[dict[str, Any]]:
+    """Figures of each strike, by time: each true one with the nearest found; fits by start [s]."""
     rows: list[dict[str, Any]] = []
-    left = {true_time(fit.start_ns): fit for fit in fits}
+    left = dict(fits)
     for end in _ends(run):
         near = min(left, key=lambda start, end=end: abs(start - end), default=NAN)  # type: ignore[misc]
         if not abs(near - end) <= SAME:

@@ -23,6 +23,7 @@ from tms_fit.settings import FitSettings
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure
 from tms_model.whole_file import write_whole
+from tms_sim.scenario import load_scenario
 
 from tms_study.processes import NodeProcess, own_domain
 
@@ -35,16 +36,17 @@ def demo(output: Path, scenario: str, seed: int) -> str:
 
     The folder appears whole or not at all. Raises RecordingError or ParameterError with what went wrong.
     """
+    bicycle = load_scenario(scenario).text("bicycle")
     with _folder(output) as folder:
         (folder / "log").mkdir()
         with own_domain():
             _say("simulator and recorder: a strike, live over DDS")
             _record(folder, scenario, seed)
             _say("player and estimator: the recorded bag, replayed")
-            _estimate(folder)
+            _estimate(folder, bicycle)
         _say("offline fit of the same bag")
         recording = read_recording(folder / "bag")
-        fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+        fit = fit_recording(recording, bicycle_of(recording, bicycle), FitSettings())
         document = {**to_json(fit), "bag": str(output / "bag")}
         write_whole(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
         save_figure(figure_3b(fit), folder / "figure_3b.png")
@@ -92,7 +94,7 @@ def _record(folder: Path, scenario: str, seed: int) -> None:
         recorder.kill()
 
 
-def _estimate(folder: Path) -> None:
+def _estimate(folder: Path, bicycle: str) -> None:
     outputs = f"[{ESTIMATE},{FILTER_STATE}]"
     listener = NodeProcess(
         "tms_bag",
@@ -100,7 +102,9 @@ def _estimate(folder: Path) -> None:
         {"output": folder / "live", "topics": outputs},
         folder / "log" / "live_recorder.log",
     )
-    estimator = NodeProcess("tms_fit", "estimator", {"idle": 2.0}, folder / "log" / "estimator.log")
+    estimator = NodeProcess(
+        "tms_fit", "estimator", {"bicycle": bicycle, "idle": 2.0}, folder / "log" / "estimator.log"
+    )
     try:
         for topic in (ESTIMATE, FILTER_STATE):
             listener.wait_for(f"recording /{topic}", PATIENCE)

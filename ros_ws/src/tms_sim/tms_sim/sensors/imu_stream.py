@@ -60,7 +60,7 @@ def imu_stream(
         )
     start_ns = scenario.integer("start_time_ns")
     distance = np.hypot(motion.rear_contact[:, 0], motion.rear_contact[:, 1])
-    delivery = deliver(start_ns + time_ns, distance, _link(scenario), start_ns, radio)
+    delivery = deliver(start_ns + time_ns, distance, link_of(scenario), start_ns, radio)
     lean = motion.lean if own is None else frame_lean(own, place.stated)
     return _arrived(readings, own, lean, grade, rate, place, delivery, time_ns, scenario.imu_every)
 
@@ -153,7 +153,8 @@ def _filter(scenario: Scenario) -> FilterSettings:
     )
 
 
-def _link(scenario: Scenario) -> Link:
+def link_of(scenario: Scenario) -> Link:
+    """The radio link of a scenario."""
     names = ("loss", "burst_start", "burst_end", "burst_loss", "latency", "jitter", "duplicates")
     return Link(
         reach=scenario.number("wireless.range") or math.inf,

@@ -77,6 +77,12 @@ def sensor_clock(time_ns: NDArray[np.int64], link: Link, start_ns: int) -> NDArr
     return stamps
 
 
+def host_clock(stamp_ns: NDArray[np.int64], link: Link, start_ns: int) -> NDArray[np.int64]:
+    """What the host's clock showed [ns] at stamps by the sensor's clock (n,) [ns]: `sensor_clock` undone."""
+    since = (stamp_ns - start_ns - 1e9 * link.clock_offset) / (1.0 + link.clock_drift)
+    return start_ns + np.round(since).astype(np.int64)
+
+
 def _bad(count: int, link: Link, rng: np.random.Generator) -> NDArray[np.bool_]:
     """When the link is bad (n,): Gilbert's chain, its first packet drawn from the long-run shares."""
     draws = rng.random(count)
