@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import resource
+import signal
 
 import pytest
 import rclpy
@@ -12,7 +13,6 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.node import Node
 from tms_bag import BagReader, BagWriter, Record
-from tms_bag.__main__ import main
 from tms_bag.channel import installed_channel
 from tms_bag.qos import Qos
 
@@ -177,6 +177,21 @@ def test_a_full_disk_ends_the_recorder_and_leaves_what_was_written(nodes, bag, t
         assert not reader.complete
 
 
+def test_a_disk_that_is_full_at_the_end_is_told_with_the_bag(nodes, tmp_path):
+    recorder = nodes.start(
+        *("tms_bag", "recorder", "-p", f"output:={tmp_path / 'new'}", "-p", "topics:=[/nobody/speaks]")
+    )
+    nodes.wait_for("recorder", "recording to")
+    (file,) = (tmp_path / "new").glob("*.mcap")
+    full = file.stat().st_size
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (full, full))
+    recorder.send_signal(signal.SIGINT)
+    nodes.finish(recorder, code=1)
+    assert only_line(nodes, "recorder").startswith(
+        f"error: {tmp_path / 'new'}: can't be written any further (File too large); `tms bag repair"
+    )
+
+
 def test_names_and_depths_that_ros_does_not_know_keep_nothing_else_from_being_played(
     nodes, records, tmp_path
 ):
@@ -192,10 +207,10 @@ def test_names_and_depths_that_ros_does_not_know_keep_nothing_else_from_being_pl
 
 
 @pytest.mark.parametrize("name", ["plain", "größer", "記録", '🚲 "1"', "a\\b: #c"])
-def test_a_bag_may_have_any_name(monkeypatch, tmp_path, name):
+def test_a_bag_may_have_any_name(command, monkeypatch, tmp_path, name):
     programs = []
     monkeypatch.setattr(os, "execv", lambda program, arguments: programs.append(arguments))
-    main(["record", "-o", str(tmp_path / name)])
+    assert command("tms_bag", "record", "-o", tmp_path / name).code == 0
     (arguments,) = programs
     context = rclpy.Context()
     rclpy.init(args=arguments[arguments.index("--ros-args") :], context=context)

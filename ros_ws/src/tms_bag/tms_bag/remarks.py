@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -36,12 +37,16 @@ def closing_words(counts: Mapping[str, int], lost: Mapping[str, int], not_record
     return words + (f"; not recorded: {', '.join(not_recorded)}" if not_recorded else "")
 
 
-def disk_words(bag: Path, error: OSError) -> str:
-    """What a recorder says when its disk takes no more."""
-    return (
-        f"{bag}: can't be written any further ({error.strerror}); `tms bag repair {bag}` makes a clean bag of"
-        " what is there"
-    )
+@contextmanager
+def disk_told(bag: Path) -> Iterator[None]:
+    """Where the disk takes no more, let the OSError say of which bag, and what becomes of it."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(
+            f"{bag}: can't be written any further ({error.strerror}); `tms bag repair {bag}` makes a clean"
+            " bag of what is there"
+        ) from error
 
 
 def _text(values: Mapping[str, object]) -> str:

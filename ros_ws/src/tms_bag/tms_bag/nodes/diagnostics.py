@@ -1,4 +1,4 @@
-"""What recorder and player say about themselves once a second, on /diagnostics."""
+"""What nodes say about themselves once a second, on /diagnostics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def report_every_second(node: Node, report: Callable[[], Report]) -> None:
         message, well, values = report()
         status = DiagnosticStatus(
             level=DiagnosticStatus.OK if well else DiagnosticStatus.WARN,
-            name=f"{node.get_fully_qualified_name()}",
+            name=node.get_fully_qualified_name(),
             message=message,
             hardware_id=node.get_name(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],

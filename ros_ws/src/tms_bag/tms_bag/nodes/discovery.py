@@ -48,7 +48,7 @@ class Discovery:
         return self._types[name]
 
     def look(self) -> None:
-        """Listen to what is new. A few times a second, publishers of known topics are looked at, too."""
+        """Listen to new topics; at every tenth look to new publishers of known ones, too."""
         self._looks += 1
         for name, types in self._node.get_topic_names_and_types():
             known = name in self.intakes

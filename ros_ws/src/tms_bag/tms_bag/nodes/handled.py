@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -57,7 +57,7 @@ class Window:
         self._before: dict[str, Counter[str]] = {}  # handled when the replay began
         self._sent: Counter[str] = Counter()
 
-    def begin(self, publishers: Iterable[Any], between: Any) -> None:
+    def begin(self, publishers: Iterable[Any], between: Callable[[], None]) -> None:
         """Wait until every consumer has reported and is known to all publishers that it wants to hear.
 
         RecordingError after the patience [s].
@@ -70,11 +70,11 @@ class Window:
         """A message has been sent."""
         self._sent[topic] += 1
 
-    def wait_for_room(self, topic: str, between: Any) -> None:
+    def wait_for_room(self, topic: str, between: Callable[[], None]) -> None:
         """Wait until another message of the topic may be sent."""
         self._wait(lambda: self._under_way(topic) < self._size, between)
 
-    def wait_for_all(self, between: Any) -> None:
+    def wait_for_all(self, between: Callable[[], None]) -> None:
         """Wait until everything that was sent has been handled."""
         self._wait(lambda: not any(self._under_way(topic) for topic in self._sent), between)
 
@@ -87,7 +87,7 @@ class Window:
         ]
         return max(open_, default=0)
 
-    def _wait(self, condition: Any, between: Any) -> None:
+    def _wait(self, condition: Callable[[], bool], between: Callable[[], None]) -> None:
         deadline, progress = time.monotonic() + self._patience, self._progress()
         while not condition():
             between()

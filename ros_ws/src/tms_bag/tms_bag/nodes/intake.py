@@ -22,9 +22,7 @@ from tms_bag.losses import SequenceCounter
 from tms_bag.nodes.interfaces import message_class
 
 LONGEST_TURN = 1000  # [messages] of one topic, before others have their turn
-REMEMBERED = (
-    10_000  # [messages] of a topic whose doubles are known, should another subscription hear them too
-)
+REMEMBERED = 10_000  # [messages] of a topic whose doubles are known, should another subscription hear them
 
 # CDR bytes, time of arrival and of sending [ns since 1970].
 Take = Callable[[bytes, int, int], None]

@@ -19,7 +19,7 @@ from tms_bag.nodes.recorder_services import offer_services
 from tms_bag.nodes.recorder_settings import declare_recorder_settings
 from tms_bag.nodes.stamping import WallStamps, make_stamps
 from tms_bag.record import Record
-from tms_bag.remarks import closing_words, disk_words, recording_remarks
+from tms_bag.remarks import closing_words, disk_told, recording_remarks
 from tms_bag.writing.live_bag import LiveBag
 from tms_bag.writing.recent import RecentRecords
 from tms_bag.writing.writer import BagWriter
@@ -54,7 +54,7 @@ class Recorder(Node):
     def run(self) -> None:
         """Record until ~/stop or a signal. OSError when the disk takes no more."""
         look_at = 0.0
-        try:
+        with disk_told(self._writer.path):
             while not self._stopped:
                 if time.monotonic() >= look_at:
                     self._discovery.look()
@@ -62,24 +62,23 @@ class Recorder(Node):
                 self._executor.spin_once(timeout_sec=DRAIN_PERIOD)
                 self._drain_all()
                 self._bag.flush_when_due()
-        except OSError as error:
-            raise OSError(disk_words(self._writer.path, error)) from error
 
     def close(self) -> None:
-        """Take what has arrived, close the bag and say what is in it."""
-        try:
-            if not self._stamps.ready:
-                self._stamps = WallStamps()
-                print("/clock has not ticked: messages are stamped with the wall's time", file=sys.stderr)
-            with suppress(RCLError):
-                self._drain_all()
-        finally:
-            found = self._discovery
-            self._writer.custom_data = recording_remarks(
-                *(f"tms_bag {tms_bag.__version__}", self._stamps.name, found.lost, found.sent_before),
-                *(found.passed_over, self._bag.left_out),
-            )
-            self._bag.close()
+        """Take what has arrived, close the bag and say what is in it. OSError when the disk takes no more."""
+        found = self._discovery
+        with disk_told(self._writer.path):
+            try:
+                if not self._stamps.ready:
+                    self._stamps = WallStamps()
+                    print("/clock has not ticked: messages are stamped with the wall's time", file=sys.stderr)
+                with suppress(RCLError):
+                    self._drain_all()
+            finally:
+                self._writer.custom_data = recording_remarks(
+                    *(f"tms_bag {tms_bag.__version__}", self._stamps.name, found.lost, found.sent_before),
+                    *(found.passed_over, self._bag.left_out),
+                )
+                self._bag.close()
         words = closing_words(self._writer.counts, found.lost, found.passed_over)
         print(f"{self._writer.path}: {words}", file=sys.stderr)
 
