@@ -194,3 +194,30 @@ def test_a_bicycle_of_matrices_only_has_no_changing_speed() -> None:
 def test_all_names_have_a_place() -> None:
     assert set(TRUTH) <= set(PARAMETERS)
     assert set(STEPS) == {*NONLINEAR, *INITIAL}
+
+
+@pytest.mark.parametrize("speed", [2.5, 3.5, 4.5])
+@pytest.mark.parametrize("start_known", [True, False])
+def test_a_feedback_gain_is_found_though_the_bicycle_falls_without(speed: float, start_known: bool) -> None:
+    # Without feedback this bicycle is unstable at these speeds; its best response is then nearly none, and no
+    # slope leads to the controller's gain 2 (6.5 - v). Lean rate only, as its logs have it.
+    truth = {"initial_lean_rate": -0.8, "lean_rate_gain": 2.0 * (6.5 - speed), "lean_rate_bias": 0.002}
+    time, absent = np.arange(151) * 0.01, np.full(151, np.nan)
+    window = Window(0, time, absent, absent, load_bicycle("delft_sbw"), constant_speed(speed))
+    rates = predictor(window, {"lean_rate_gain": truth["lean_rate_gain"]}).predict(truth)[:, 0]
+    noise = 0.02 * np.random.default_rng(3).standard_normal(151)
+    free = ("initial_lean_rate", "lean_rate_gain", "lean_rate_bias")
+    if not start_known:
+        free = (*free, "initial_lean", "initial_steer")
+    found = fit_window(replace(window, lean_rate=rates + noise), FitSettings(free=free))
+    assert found.status == "ok"
+    for name, std in zip(found.names, found.std, strict=True):
+        assert found.parameters[name] == pytest.approx(truth.get(name, 0.0), abs=3.5 * std)
+
+
+@pytest.mark.parametrize("gain", [-1e6, -1e200])
+def test_a_bicycle_that_falls_beyond_all_numbers_is_no_defect(gain: float) -> None:
+    window = made_window(TRUTH)
+    found = fit_window(window, FitSettings(fixed={"lean_rate_gain": gain}))
+    assert found.status == "not_observable"
+    assert "such a bicycle falls at once" in found.message

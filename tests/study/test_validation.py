@@ -69,3 +69,9 @@ def test_a_missed_figure_is_told(tmp_path: Path) -> None:
     write_markdown(tmp_path / "x.md", found, 1, quick=False)
     assert "**missed**" in (tmp_path / "x.md").read_text()
     assert [path.name for path in tmp_path.iterdir()] == ["x.md"]
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "x"])
+@pytest.mark.parametrize("study", ["validate", "strikes", "demo"])
+def test_a_seed_is_a_whole_number_from_0_on(refused: Any, study: str, seed: str) -> None:
+    assert f"expected a whole number from 0 on, found {seed!r}" in refused("tms_study", study, "--seed", seed)

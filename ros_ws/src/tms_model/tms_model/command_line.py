@@ -56,6 +56,17 @@ def run(
     return 0
 
 
+def seed(text: str) -> int:
+    """Seed of a random generator: a whole number from 0 on. Raises argparse.ArgumentTypeError."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = -1
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, found {text!r}")
+    return number
+
+
 def _flush_stdout() -> None:
     if sys.stdout:  # None where it has been closed, as in `... >&-`
         sys.stdout.flush()

@@ -11,7 +11,7 @@ import numpy as np
 from tms_bag import RecordingError
 from tms_fit.settings import PARAMETERS, check_known
 from tms_model import ParameterError
-from tms_model.command_line import Parser, print_json, run
+from tms_model.command_line import Parser, print_json, run, seed
 from tms_sim.scenario import load_scenario, parse_change
 
 from tms_study.bound import FREE, table, to_json, to_text
@@ -44,7 +44,7 @@ def _parser() -> Parser:
     command = commands.add_parser("demo", help=text, description=text)
     command.add_argument("--out", default="out/demo", help="folder to make (default %(default)s)")
     command.add_argument("--scenario", default="tms_strike", help="(default %(default)s)")
-    command.add_argument("--seed", type=int, default=1, help="seed of all noise (default %(default)s)")
+    command.add_argument("--seed", type=seed, default=1, help="seed of all noise (default %(default)s)")
     text = "what an experiment can tell at best: Cramer-Rao bounds over rate, noise, duration, strength"
     command = commands.add_parser("bound", help=text, description=text)
     command.add_argument("scenario", help="name (see `sim list`) or .yaml file")
@@ -62,7 +62,7 @@ def _parser() -> Parser:
     text = "check the estimators on runs whose truth is known, and print what came out"
     command = commands.add_parser("validate", help=text, description=text)
     command.add_argument("--quick", action="store_true", help="fewer runs: minutes become seconds")
-    command.add_argument("--seed", type=int, default=2011, help="seed of all noise (default %(default)s)")
+    command.add_argument("--seed", type=seed, default=2011, help="seed of all noise (default %(default)s)")
     command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
     command.add_argument("-o", "--output", help="Markdown file to write the table to")
     add_campaign(commands)

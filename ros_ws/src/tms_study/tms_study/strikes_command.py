@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from tms_model import ParameterError
-from tms_model.command_line import print_json
+from tms_model.command_line import print_json, seed
 
 from tms_study import __version__
 from tms_study.strikes import Score, cases, study
@@ -19,7 +19,7 @@ def add_strikes(commands: Any) -> None:
     text = "how well strikes are found: every scenario, weak strikes, pushes by hand, a treadmill"
     command = commands.add_parser("strikes", help=text, description=text)
     command.add_argument("--runs", type=int, default=10, help="runs of each case (default %(default)s)")
-    command.add_argument("--seed", type=int, default=2011, help="seed of all noise (default %(default)s)")
+    command.add_argument("--seed", type=seed, default=2011, help="seed of all noise (default %(default)s)")
     command.add_argument(
         "--only", default="", metavar="TEXT", help="cases whose name holds this, and no treadmill"
     )

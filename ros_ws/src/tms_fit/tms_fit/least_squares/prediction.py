@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from tms_model import ParameterError
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
@@ -30,6 +31,7 @@ STEPS = {  # of the differences; the speed's is per m/s
     FRICTION: 1e-4,
     **dict.fromkeys(INITIAL, 1e-4),  # with friction only
 }
+LARGEST = 1e50  # growth of a response from which on its squares are no numbers to reckon with
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,8 @@ def predictor(window: Window, nonlinear: Mapping[str, float] | None = None) -> P
 
     With `steer_coulomb_friction` the initial state is among them (`tms_fit.settings.shaping`), 0 if left out.
 
-    Raises ParameterError as `tms_fit.least_squares.motion.motion` does.
+    Raises ParameterError as `tms_fit.least_squares.motion.motion` does, and for a bicycle that falls beyond
+    all numbers within the window.
     """
     return _predictor(window, tuple(sorted((nonlinear or {}).items())))
 
@@ -68,11 +71,17 @@ def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Pred
     values = dict(nonlinear)
     columns = np.zeros((len(window.time), 2, len(LINEAR)))
     forced = np.zeros((len(window.time), 2))
-    if FRICTION in values:
-        states, moved = rubbed_states(window, values)
-        forced[:] = np.stack([states[:, LEAN_RATE], np.einsum("ki,ki->k", moved.yaw, states)], axis=1)
-    else:
-        columns[:, :, : len(INITIAL)], forced[:] = _channels(motion(window, values), window.steer_torque)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if FRICTION in values:
+            states, moved = rubbed_states(window, values)
+            forced[:] = np.stack([states[:, LEAN_RATE], np.einsum("ki,ki->k", moved.yaw, states)], axis=1)
+        else:
+            columns[:, :, : len(INITIAL)], forced[:] = _channels(motion(window, values), window.steer_torque)
+        if not (np.abs(columns) < LARGEST).all() or not (np.abs(forced) < LARGEST).all():
+            raise ParameterError(
+                f"response: expected rates below {LARGEST:g} times those at the start over the whole window,"
+                " found larger ones: such a bicycle falls at once; see speed, lean_rate_gain and the bicycle"
+            )
     pitch = values.get("mounting_pitch", 0.0)
     if pitch:
         columns, forced = _seen_by(pitch, columns), _seen_by(pitch, forced)

@@ -29,6 +29,18 @@ Rows = Callable[[Array], Array]  # values of both channels (n, 2, ...) -> rows (
 STEPS = 50  # at most, of Gauss and Newton
 SETTLED = 1e-6  # last step, in standard errors
 RUBBED = 1e-2  # the same with friction, whose kinks no derivative follows
+GAIN = "lean_rate_gain"
+GAINS = (
+    -4.0,
+    -2.0,
+    -1.0,
+    -0.5,
+    0.5,
+    1.0,
+    2.0,
+    4.0,
+    8.0,
+)  # per torque that a rate of 1 rad/s makes without one
 LINEAR_RANK = 1e-9  # smallest singular value of the scaled columns, per largest, that can still be told apart
 RANK = 1e-6  # the same with columns that are differences
 
@@ -179,7 +191,7 @@ def _first(problem: Problem, rows: Rows) -> Array:
     """Where to begin: with friction, from what is found without it, which is linear in the initial state."""
     first = starting_values(problem)
     if FRICTION not in {*problem.names, *problem.known}:
-        return first
+        return _among_gains(problem, rows, first)
     names = [name for name in problem.names if name != FRICTION]
     smooth = replace(
         problem,
@@ -193,6 +205,27 @@ def _first(problem: Problem, rows: Rows) -> Array:
         return first
     values = dict(zip(smooth.names, found.values.tolist(), strict=True))
     return np.array([values.get(name, one) for name, one in zip(problem.nonlinear, first, strict=True)])
+
+
+def _among_gains(problem: Problem, rows: Rows, first: Array) -> Array:
+    """The start (q,), with the feedback gain that explains the most, of some that a controller may have.
+
+    Too small a gain leaves a bicycle that falls. Its best response is nearly none, whatever the gain, so that
+    no slope leads from there to the right one.
+    """
+    if GAIN not in problem.nonlinear or GAIN in problem.priors:
+        return first
+    bicycle, index = problem.window.bicycle, problem.nonlinear.index(GAIN)
+    size = problem.window.start_speed * float(
+        np.abs(bicycle.damping[1]).max()
+    )  # of the steering's own torques
+    rivals = [first]
+    for share in GAINS if np.isfinite(size) else ():
+        rival = first.copy()
+        rival[index] += share * size / (bicycle.steer_elements.steer_torque_gain or 1.0)
+        rivals.append(rival)
+    costs = [math.inf if (point := _try(problem, rows, one)) is None else point.cost for one in rivals]
+    return rivals[int(np.argmin(costs))]
 
 
 def starting_values(problem: Problem) -> Array:
