@@ -6,6 +6,7 @@ import csv
 import fnmatch
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -182,7 +183,8 @@ def _write(
     except OSError as error:
         raise RecordingError(f"{target}: can't be written ({error.strerror})") from error
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink()
 
 
 def _text(value: np.generic, decimal: str) -> str:
