@@ -60,6 +60,31 @@ def test_missed_and_false_strikes_are_counted() -> None:
     assert (one.struck, one.missed, one.false, one.fitted) == (1, 1, 1, 0)
 
 
+def test_answers_that_raise_a_doubt_are_not_judged() -> None:
+    one = campaign()
+    said = {"status": "ok", "time": 2.0, "truth": 0.5, "std": 0.01, "vaf_lean_rate": 1.0}
+    rows = [
+        Row(("0.3",), 7, 1, 1, estimate=0.5, low=0.4, high=0.6, **said),  # type: ignore[arg-type]
+        Row(("0.3",), 8, 1, 1, estimate=0.9, low=0.8, high=1.0, doubted=1, **said),  # type: ignore[arg-type]
+        Row(("0.3",), 9, 1, 1, estimate=0.5, low=0.4, high=0.6, doubted=1, **said),  # type: ignore[arg-type]
+    ]
+    weak, hard = summarise(one, rows)
+    assert (weak.covered, weak.doubted, weak.sure, weak.sure_covered) == pytest.approx((2 / 3, 2 / 3, 1, 1.0))
+    assert weak.honest
+    assert hard.sure == 0
+    assert hard.honest
+
+
+def test_given_strikes_begin_where_the_impulse_ended() -> None:
+    keys = {"duration": 4.0, "strike.time": 2.003, "strike.duration": 0.012}
+    for clock in ({}, {"wireless.clock_offset": 0.05, "wireless.clock_drift": 1e-3}):
+        given = Campaign("tms_strike", {**keys, **clock}, {}, 1, 1, SETTINGS, given=True)
+        (row,) = ride_all(given)
+        assert row.time == pytest.approx(2.015)
+        assert abs(row.late) < 2e-9
+        assert given.mark != Campaign("tms_strike", {**keys, **clock}, {}, 1, 1, SETTINGS).mark
+
+
 def test_it_goes_on_where_it_was_killed(rows: list[Row], tmp_path: Path) -> None:
     path = tmp_path / "campaign.csv"
     whole = CampaignFile(path, campaign())

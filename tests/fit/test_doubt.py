@@ -1,0 +1,70 @@
+"""What makes an answer doubtful: unknowns that can't be as found, and nothing where the model is right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tms_fit.criticism.doubt import doubt
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.noise import oscillator
+from tms_fit.settings import FitSettings
+from tms_fit.window import Window
+from tms_study import trials
+
+SETTINGS = FitSettings(steer_torque="ignore", estimators=("least_squares",))
+
+
+def noisy(values: dict[str, float], seed: int = 1) -> Window:
+    window = trials.truth(values)
+    return trials.with_rates(
+        window, window.measured + trials.white(np.random.default_rng(seed), window.time, 1)[0]
+    )
+
+
+@pytest.mark.parametrize("name", ["lean_rate_bias", "yaw_rate_bias"])
+def test_a_bias_that_no_gyroscope_has_is_doubted(name: str) -> None:
+    window = noisy({name: -0.12})
+    found = doubt(window, SETTINGS, fit_window(window, SETTINGS))
+    assert found is not None
+    assert found.parameter == name
+    assert found.sentence.startswith(f"doubtful: {name} -0.1")
+    assert "a gyroscope's bias" in found.sentence
+    # Who says that this gyroscope is that far off is believed, and a bias that one may have is no matter.
+    stated = FitSettings(steer_torque="ignore", priors={name: (-0.1, 0.05)})
+    assert doubt(window, stated, fit_window(window, stated)) is None
+    usual = noisy({name: 0.03})
+    assert doubt(usual, SETTINGS, fit_window(usual, SETTINGS)) is None
+
+
+def test_an_angle_beyond_small_ones_is_doubted() -> None:
+    free = FitSettings(
+        steer_torque="ignore",
+        noise="white",
+        free=("initial_lean_rate", "initial_lean", "lean_rate_bias", "yaw_rate_bias"),
+    )
+    window = noisy({"initial_lean": 0.7})
+    found = doubt(window, free, fit_window(window, free))
+    assert found is not None
+    assert found.parameter == "initial_lean"
+
+
+def test_right_answers_and_rounding_raise_no_doubt() -> None:
+    for seed in range(20):
+        window = noisy({}, seed)
+        assert doubt(window, SETTINGS, fit_window(window, SETTINGS)) is None
+    # A sensor without noise: what is left remembers, but is rounding.
+    window = trials.truth()
+    left = 1e-12 * np.sin(3.0 * window.time)[:, None] * np.ones(2)
+    ideal = trials.with_rates(window, window.measured + left)
+    assert doubt(ideal, SETTINGS, fit_window(ideal, SETTINGS)) is None
+
+
+def test_no_oscillation_is_slower_than_the_bicycles_own_motion() -> None:
+    # 2 Hz over a third of a second, as where the bicycle falls: the grid went down to it from its first 5 Hz.
+    time = np.arange(34) / 100.0
+    noise = 0.02 * np.random.default_rng(3).standard_normal((34, 2))
+    residual = 1.5 * np.sin(2.0 * np.pi * 2.0 * time)[:, None] + noise
+    found = oscillator.fit(time, residual, np.zeros((34, 2, 0)))
+    told = [value for name, value in found.parameters.items() if name.endswith("_frequency")]
+    assert told
+    assert min(told) >= oscillator.SLOWEST
