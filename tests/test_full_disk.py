@@ -38,8 +38,9 @@ ROOM = 10  # [bytes]
 
 
 @pytest.fixture
-def no_room() -> Iterator[Callable[[int], None]]:
+def no_room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
     """Files may grow to so many bytes, which fails as a full disk does; -1: as far as they like."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of modules that are imported meanwhile
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
