@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import resource
 import runpy
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -58,3 +59,12 @@ def refused(command: Command) -> Callable[..., str]:
         return answer.err.strip()
 
     return run
+
+
+@pytest.fixture
+def no_room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
+    """Files may grow to so many bytes, which fails as a full disk does; -1: as far as they like."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of modules that are imported meanwhile
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,15 +34,6 @@ COMMANDS = {
     "study campaign": ("tms_study", "campaign", "tms_strike", "--runs", "1", "-o", "{}.csv"),
 }
 ROOM = 10  # [bytes]
-
-
-@pytest.fixture
-def no_room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
-    """Files may grow to so many bytes, which fails as a full disk does; -1: as far as they like."""
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of modules that are imported meanwhile
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

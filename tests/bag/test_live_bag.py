@@ -2,8 +2,6 @@
 
 import errno
 import os
-import resource
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace
@@ -120,14 +118,6 @@ def test_what_was_taken_is_on_the_disk_a_quarter_of_a_second_later(tmp_path, mon
         with BagReader(tmp_path / "bag") as reader:
             assert reader.message_count == expected
     bag.close()
-
-
-@pytest.fixture
-def no_room() -> Iterator[Callable[[int], None]]:
-    """Files may grow to so many bytes, as on a disk that is full; -1: as far as they like."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("preset", ["none", "zstd", "fastwrite"])
