@@ -48,8 +48,10 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="few repeats and small sizes: does it run?")
-    quick = parser.parse_args().quick
-    samples, repeats, runs = (100, 3, 200) if quick else (400, 21, 10_000)
+    parser.add_argument("--samples", type=int, default=400, help="of a run, 100 a second (default 400)")
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    samples, repeats, runs = (100, 3, 200) if quick else (arguments.samples, 21, 10_000)
     print_machine(("numpy", "scipy", "lmfit"))
     print(f"initial lean rate and speed from {samples} samples of two channels")
     print(f"processor time, medians of {repeats} repeats")

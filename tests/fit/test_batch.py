@@ -116,7 +116,8 @@ def test_gram_matrix_of_a_run(known: dict[str, float]) -> None:
         factors = np.array([*parts[:2], *parts[3 : 6 if known else 5], target])
         gram = table.gram.at(table.gram.of_run(rows @ table.basis, rows @ rows), speed)
         # What of the forced response no basis holds, 1e-9 of the largest rate, is left out of the first only.
-        np.testing.assert_allclose(gram, factors @ factors.T, rtol=1e-8, atol=1e-8)
+        expected = (factors @ factors.T).ravel()
+        np.testing.assert_allclose(gram, expected, rtol=1e-8, atol=1e-8)
 
 
 def test_standard_errors_reach_the_bound_and_intervals_hold() -> None:

@@ -36,12 +36,11 @@ class GramSeries:
         found[0, -1, -1] += square
         return found.reshape(len(found), -1)
 
-    def at(self, series: Array, value: float) -> list[list[float]]:
-        """Gram matrix of a run at a value of the nonlinear parameter."""
+    def at(self, series: Array, value: float) -> list[float]:
+        """Gram matrix of a run at a value of the nonlinear parameter, row by row."""
         cosine = min(max(2.0 * (value - self.low) / (self.high - self.low) - 1.0, -1.0), 1.0)
-        numbers = (np.cos(math.acos(cosine) * self.degrees) @ series).tolist()
-        size = self.column_count + self.slope_count + 1
-        return [numbers[k : k + size] for k in range(0, size * size, size)]
+        numbers: list[float] = (np.cos(math.acos(cosine) * self.degrees) @ series).tolist()
+        return numbers
 
 
 def gram_series(columns: Callable[[Array], Array], low: float, high: float, order: int) -> GramSeries:

@@ -38,32 +38,37 @@ def fit_single(table: Table, measured: Array, start: float) -> tuple[Array, Arra
     gram, whole = table.gram, float(rows @ rows)
     series, low, high = gram.of_run(rows @ table.basis, whole), gram.low, gram.high
     degrees = max(len(rows) - gram.column_count - 1, 1)
-    value, converged = min(max(start, low), high), False
+    value, change, converged = min(max(start, low), high), 0.0, False
     here = _at(gram, series, value)
     for _ in range(STEPS):
         if not here.curvature > 0.0:  # nothing measured depends on it, or nothing is measured
             break
         change = here.gradient / here.curvature
         spread = math.sqrt(max(here.squares, 0.0) / degrees / here.curvature)
-        better = False
+        if abs(change) <= SETTLED * spread + 1e-12 * (high - low):
+            converged = low < value + change < high
+            break
         for halving in range(HALVINGS):
             wanted = min(max(value + change * 0.5**halving, low), high)
             trial = _at(gram, series, wanted)
             if trial.squares <= here.squares * (1.0 + 1e-12) + ROUNDING * whole:
-                value, here, better = wanted, trial, True
+                value, here, change = wanted, trial, 0.0
                 break
-        if abs(change) <= SETTLED * spread + 1e-12 * (high - low) or not better:
-            converged = low < value < high
+        else:
+            change, converged = 0.0, low < value < high  # nothing better is within reach: rounding
             break
     variance = max(here.squares, 0.0) / degrees
-    covariance = [[variance * number for number in row] for row in _inverse(here, gram.column_count)]
-    linear = here.weights[: gram.column_count]
-    return np.array([*linear, value]), np.array(covariance), math.sqrt(variance), converged
+    explained = _explained(here, gram.column_count)
+    # So small a step changes the linear parameters in proportion.
+    values = [a - change * b for a, b in zip(here.weights, explained, strict=False)]
+    values.append(min(max(value + change, low), high))
+    covariance = np.array(_covariance(here, explained, variance))
+    return np.array(values), covariance, math.sqrt(variance), converged
 
 
 def _at(gram: GramSeries, series: Array, value: float) -> _Point:
     columns = gram.column_count
-    swept = _swept(gram.at(series, value), columns)
+    swept = _swept(gram.at(series, value), columns, columns + gram.slope_count + 1)
     weights = [row[-1] for row in swept[:columns]] + [1.0] * (gram.slope_count - columns)
     # The derivative of the prediction is the sum of the slopes, weighed as their columns are.
     gradient = curvature = 0.0
@@ -74,12 +79,12 @@ def _at(gram: GramSeries, series: Array, value: float) -> _Point:
     return _Point(swept, weights, swept[-1][-1], gradient, curvature)
 
 
-def _swept(rows: list[list[float]], count: int) -> list[list[float]]:
+def _swept(gram: list[float], count: int, size: int) -> list[list[float]]:
     """A Gram matrix [[A, B], [B', C]] as [[A^-1, A^-1 B], [-B' A^-1, C - B' A^-1 B]], A of its first columns.
 
     J. H. Goodnight, The American Statistician 33 (1979), doi 10.1080/00031305.1979.10482685.
     """
-    rows, every = [row.copy() for row in rows], range(len(rows))
+    rows, every = [gram[k : k + size] for k in range(0, size * size, size)], range(size)
     for k in range(count):
         pivot = rows[k]
         scale, pivot[k] = 1.0 / pivot[k], 1.0
@@ -93,14 +98,24 @@ def _swept(rows: list[list[float]], count: int) -> list[list[float]]:
     return rows
 
 
-def _inverse(here: _Point, columns: int) -> list[list[float]]:
-    """Inverse (p + 1, p + 1) of J'J of all parameters, by its blocks."""
-    explained = []  # of the derivative by the nonlinear parameter, by each column
+def _explained(here: _Point, columns: int) -> list[float]:
+    """How much of each column (p,) the derivative by the nonlinear parameter contains."""
+    found = []
     for row in here.swept[:columns]:
-        explained.append(sum(a * b for a, b in zip(here.weights, row[columns:], strict=False)))
-    last = 1.0 / here.curvature if here.curvature else math.inf
-    inverse = [
-        [*(a + one * last * b for a, b in zip(row, explained, strict=False)), -one * last]
-        for row, one in zip(here.swept, explained, strict=False)
-    ]
-    return [*inverse, [*(-one * last for one in explained), last]]
+        total = 0.0
+        for weight, number in zip(here.weights, row[columns:], strict=False):
+            total += weight * number
+        found.append(total)
+    return found
+
+
+def _covariance(here: _Point, explained: list[float], variance: float) -> list[list[float]]:
+    """Covariance (p + 1, p + 1), by its blocks."""
+    last = variance / here.curvature if here.curvature else math.inf
+    rows = []
+    for row, one in zip(here.swept, explained, strict=False):
+        rows.append([variance * a + last * one * b for a, b in zip(row, explained, strict=False)])
+        rows[-1].append(-last * one)
+    rows.append([-last * one for one in explained])
+    rows[-1].append(last)
+    return rows
