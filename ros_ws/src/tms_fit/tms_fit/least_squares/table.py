@@ -29,6 +29,7 @@ from tms_fit.least_squares.projection import LINEAR_RANK, Problem, full_rank, st
 
 FIRST, MOST = 8, 64  # Chebyshev points per parameter, to begin with and at most
 TOLERANCE = 1e-9  # of the basis and the series, per largest prediction
+THREADLESS = 200_000  # products of numbers for which OpenBLAS starts no threads
 CHECKS = 7  # points per parameter between Chebyshev's, at which the error is measured
 
 
@@ -87,7 +88,7 @@ class Table:
             place = 2.0 * (nonlinear[:, k] - self.low[k]) / (self.high[k] - self.low[k]) - 1.0
             one = chebvander(np.clip(place, -1.0, 1.0), order - 1)
             terms = (terms[:, :, None] * one[:, None, :]).reshape(len(terms), -1) if k else one
-        return (terms @ self._column_series).reshape(len(terms), self.column_count, self.rank)
+        return _product(terms, self._column_series).reshape(len(terms), self.column_count, self.rank)
 
     @cached_property
     def _column_series(self) -> Array:
@@ -110,7 +111,7 @@ class Table:
     def project(self, measured: Array) -> tuple[Array, Array]:
         """Coordinates (R, r) of what was measured (R, n, 2), and the squares (R,) outside the space."""
         rows = measured.reshape(len(measured), -1) if self.complete else measured[:, self.good]
-        inside = rows @ self.basis
+        inside = _product(rows, self.basis)
         squares = np.einsum("ri,ri->r", rows, rows)
         return inside, np.maximum(squares - np.einsum("ri,ri->r", inside, inside), 0.0)
 
@@ -213,3 +214,12 @@ def _error(table: Table) -> float:
         scale[scale == 0.0] = 1.0
         worst = max(worst, float((np.abs(table.basis @ inside - exact) / scale).max()))
     return worst
+
+
+def _product(rows: Array, matrix: Array) -> Array:
+    """Matrix product in parts so small that no threads start: on a busy machine they wait for each other."""
+    found = np.empty((len(rows), matrix.shape[1]))
+    step = max(THREADLESS // max(matrix.size, 1), 1)
+    for k in range(0, len(rows), step):
+        np.matmul(rows[k : k + step], matrix, out=found[k : k + step])
+    return found
