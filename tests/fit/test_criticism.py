@@ -17,6 +17,7 @@ from tms_fit.criticism.hypotheses import impulse_ratio, verdicts
 from tms_fit.criticism.residuals import criticise, fisher_g, fit_percent, ljung_box, nis_band
 from tms_fit.criticism.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.prediction import predictor
 from tms_fit.settings import CHANNELS, DEFAULT_FREE, FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
@@ -187,8 +188,26 @@ def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
     assert "is rejected (p < 1e-6); a steer rate of -" in told["no steer rate at the start"].sentence
     (impulse,) = (one for name, one in told.items() if name.startswith("the steer rate of a roll impulse"))
     assert not impulse.rejected
+    assert impulse.delta_aic == pytest.approx(2.0 - impulse.statistic**2, abs=0.05)
     (other,) = (v for v in verdicts(made(5), SETTINGS) if v.hypothesis.startswith("the steer rate of a roll"))
     assert other.rejected
+    assert other.delta_bic < -10.0
+
+
+def test_information_criteria_of_a_constraint_are_those_of_the_fit_under_it() -> None:
+    # The steer rate of an impulse is one linear constraint; by hand: one column, both together.
+    window, bicycle = replace(made(5), speed=constant_speed(3.6)), load_bicycle("tms_eq_10_1")
+    (told,) = (v for v in verdicts(window, SETTINGS) if v.hypothesis.startswith("the steer rate of a roll"))
+    free = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias", "yaw_rate_bias")
+    matrix = predictor(window).select(free).reshape(-1, 4)
+    together = np.column_stack([matrix[:, 0] + impulse_ratio(bicycle) * matrix[:, 1], matrix[:, 2:]])
+    sums = [
+        float(np.linalg.lstsq(columns, window.measured.ravel(), rcond=None)[1][0])
+        for columns in (matrix, together)
+    ]
+    gain = len(matrix) * math.log(sums[1] / sums[0])
+    assert told.delta_aic == pytest.approx(2.0 - gain, abs=1e-6)
+    assert told.delta_bic == pytest.approx(math.log(len(matrix)) - gain, abs=1e-6)
 
 
 def test_a_slip_at_the_start_is_seen() -> None:

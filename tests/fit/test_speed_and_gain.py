@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tms_bag import Recording
+from tms_bag import Recording, RecordingError
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.offline import fit_recording
+from tms_fit.result import to_table
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
-from tms_model import load_bicycle
+from tms_model import ParameterError, load_bicycle
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
 
@@ -76,3 +77,25 @@ def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
     one = strike.estimates[0]
     assert abs(one.values[0] + 0.7) < 4.0 * one.std[0] < 0.02
     assert strike.estimates[0].vaf["lean_rate"] > 0.98
+
+
+def test_a_speed_that_nobody_measured_is_found_from_what_is_known_beforehand() -> None:
+    run = run_of("tms_strike", 5, duration=6.0)
+    silent = replace(recording(run), speed=None, run_info=replace(run.info, speed=float("nan")))
+    settings = FitSettings(
+        free=("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias", "speed"),
+        priors={"speed": (3.2, 0.4)},
+        estimators=("least_squares",),
+    )
+    fit = fit_recording(silent, load_bicycle("tms_eq_10_1"), settings)
+    (found,) = fit.strikes[0].estimates
+    for name, true in {"speed": 3.6, "initial_lean_rate": 0.5}.items():
+        assert found.parameters[name] == pytest.approx(true, abs=3.5 * found.std[found.names.index(name)])
+    assert found.std[found.names.index("speed")] < 0.05
+    table = to_table(fit)
+    assert f"{found.parameters['speed']:7.3f}  least_squares" in table
+    assert f"speed {found.parameters['speed']:.4g} +- " in table
+    with pytest.raises(RecordingError, match="--prior speed=MEAN,STD"):
+        fit_recording(silent, load_bicycle("tms_eq_10_1"), replace(settings, priors={}))
+    with pytest.raises(ParameterError, match="expected a positive mean"):
+        replace(settings, priors={"speed": (-3.2, 0.4)})

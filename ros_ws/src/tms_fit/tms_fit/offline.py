@@ -66,9 +66,10 @@ def fit_recording(
     """
     info = recording.run_info
     nominal = info.speed if info else float("nan")
-    if recording.speed is None and "speed" not in settings.fixed and not np.isfinite(nominal):
+    if recording.speed is None and not np.isfinite([settings.stated_speed, nominal]).any():
         raise RecordingError(
-            f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s]"
+            f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s], or"
+            " --prior speed=MEAN,STD where it is to be found"
         )
     if (
         recording.speed is not None

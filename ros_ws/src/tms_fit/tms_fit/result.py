@@ -12,7 +12,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.least_squares.answer import COLOURED
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.running.online import StrikeFit
-from tms_fit.settings import FitSettings
+from tms_fit.settings import DEFAULT_FREE, FitSettings
 from tms_fit.strikes.strike import Strike, StrikeSettings
 
 
@@ -133,13 +133,19 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
         )
     for strike in fit.strikes:
         when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
-        speed = f"{strike.window.start_speed:7.3f}" if strike.window else "      -"
         for estimate in strike.estimates:
+            known = strike.window.start_speed if strike.window else math.nan
+            speed = f"{estimate.complete.get('speed', known):7.3f}".replace("nan", "  -")
             doubted = strike.doubt is not None and estimate.names == strike.estimates[0].names
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             mark += " ?" if doubted else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
     lines.extend(_reasons(fit))
+    lines.extend(
+        f"{(one.start_ns - first_stamp(fit.recording)) / 1e9:10.4f} found: {_others(one.estimates[0])}"
+        for one in fit.strikes
+        if set(one.estimates[0].names) - set(DEFAULT_FREE)
+    )
     stated = stated_noise(fit.recording, fit.settings)
     for one in fit.strikes:
         when = (one.start_ns - first_stamp(fit.recording)) / 1e9
@@ -171,6 +177,14 @@ def _reasons(fit: RecordingFit) -> list[str]:
             f"looked at and not taken: {len(fit.rejected)} changes (--json says why; --strike TIME overrides)"
         )
     return lines
+
+
+def _others(estimate: Estimate) -> str:
+    """What was found beside the initial lean rate, with standard errors."""
+    found = zip(estimate.names, estimate.values, estimate.std, strict=True)
+    return ", ".join(
+        f"{name} {value:.4g} +- {std:.2g}" for name, value, std in found if name != "initial_lean_rate"
+    )
 
 
 def _in_words(estimate: Estimate) -> str:

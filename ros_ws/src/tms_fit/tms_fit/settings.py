@@ -76,6 +76,12 @@ class FitSettings:
         """Those of the fixed parameters that the response is linear in."""
         return {name: value for name, value in self.fixed.items() if name in LINEAR}
 
+    @property
+    def stated_speed(self) -> float:
+        """The speed [m/s] that is fixed, else what is known of it beforehand; NaN: neither."""
+        mean, _ = self.priors.get("speed", (math.nan, math.nan))
+        return self.fixed.get("speed", mean)
+
     def __post_init__(self) -> None:
         check_known(self.free or (), PARAMETERS, "free")
         check_known(self.fixed, PARAMETERS, "fix")
@@ -159,6 +165,8 @@ class FitSettings:
                     f"prior: {name}: expected a finite mean and a positive standard deviation, found"
                     f" {mean:g} and {std:g}"
                 )
+            if name == "speed" and mean <= 0.0:
+                raise ParameterError(f"prior: speed: expected a positive mean of m/s, found {mean:g}")
 
 
 def shaping(values: Mapping[str, float], names: Iterable[str] = ()) -> dict[str, float]:

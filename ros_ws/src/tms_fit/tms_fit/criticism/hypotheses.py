@@ -3,7 +3,7 @@
 A hypothesis says that a parameter has a certain value (no deceleration, no steer rate, no pitch). The wider
 model frees it; the test is Wald's, estimate less hypothesis per standard error, by Student's t, in the noise
 that the wider model leaves: if the effect is real, the narrower model's residuals are coloured by it. Beside
-it stand the differences of AIC and BIC.
+it stand the differences of AIC and BIC, each from the model that the hypothesis describes.
 """
 
 from __future__ import annotations
@@ -139,7 +139,8 @@ def _impulse_steer_rate(window: Window, settings: FitSettings, narrow: Estimate)
     return _verdict(
         f"the steer rate of a roll impulse, {ratio:.2f} times the lean rate",
         (name, value, std, assumed),
-        (wide, narrow),
+        wide,
+        _lifted(wide, (value - assumed) / std),
         f"a steer rate of {value:.3f} +- {wide.std[wide.names.index(name)]:.3f} rad/s",
     )
 
@@ -196,17 +197,28 @@ def _wald(
         text = f"{hypothesis}: the data can't tell ({wide.message})"
         return Verdict(hypothesis, name, nan, nan, assumed, nan, nan, nan, nan, text)
     value, std = wide.parameters[name], float(wide.std[wide.names.index(name)])
-    return _verdict(hypothesis, (name, value, std, assumed), (wide, narrow), words(value, std))
+    differences = wide.aic - narrow.aic, wide.bic - narrow.bic
+    return _verdict(hypothesis, (name, value, std, assumed), wide, differences, words(value, std))
+
+
+def _lifted(wide: Estimate, statistic: float) -> tuple[float, float]:
+    """Differences of AIC and BIC by a linear constraint that the wider model lifts, from its t statistic.
+
+    The sum of squares falls from 1 + t^2 / (degrees of freedom) to 1: exact in white noise.
+    """
+    count = wide.sample_count
+    gain = count * math.log1p(statistic**2 / max(wide.degrees_of_freedom, 1))
+    return 2.0 - gain, math.log(count) - gain
 
 
 def _verdict(
     hypothesis: str,
     found: tuple[str, float, float, float],
-    fits: tuple[Estimate, Estimate],
+    wide: Estimate,
+    differences: tuple[float, float],  # of AIC and BIC
     alternative: str,
 ) -> Verdict:
     name, value, std, assumed = found
-    wide, narrow = fits
     statistic = (value - assumed) / std
     p = 2.0 * float(stats.t.sf(abs(statistic), max(wide.degrees_of_freedom, 1)))
     sentence = (
@@ -222,8 +234,7 @@ def _verdict(
         assumed,
         statistic,
         p,
-        wide.aic - narrow.aic,
-        wide.bic - narrow.bic,
+        *differences,
         sentence,
     )
 

@@ -64,7 +64,8 @@ class OnlineFit:
         """
         check_names(settings.estimators)
         self.bicycle, self._settings = bicycle, settings
-        self._nominal_speed = settings.fixed.get("speed", nominal_speed)
+        stated = settings.stated_speed
+        self._nominal_speed = stated if math.isfinite(stated) else nominal_speed
         self._filter = _filter(bicycle, settings) if running_filter else None
         self._gyroscopes = Gyroscopes(imu_orientation, settings.gyroscope_range)
         self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
