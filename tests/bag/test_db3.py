@@ -106,6 +106,15 @@ def test_a_folder_may_be_called_as_one_likes(db3_bag, name):
     assert read_recording(db3_bag.rename(db3_bag.with_name(name))).imu.time_ns.size == 300
 
 
+def test_stamps_that_are_no_numbers_are_told(db3_bag):
+    (file,) = db3_bag.glob("*.db3")
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 7")
+        connection.commit()
+    with pytest.raises(RecordingError, match=r"damaged one \(its messages end before they begin\)"):
+        read_recording(db3_bag)
+
+
 def test_messages_that_a_killed_recorder_had_not_brought_into_the_file_are_read(db3_bag, tmp_path):
     """As rosbag2's preset `resilient` writes: into a log beside the file, taken over later."""
     (file,) = db3_bag.glob("*.db3")

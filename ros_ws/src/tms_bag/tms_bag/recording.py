@@ -83,6 +83,11 @@ def read_recording(
         info_name = find_topic(bag, topics.RUN_INFO, None, space)
         names |= {topics.IMU: imu_name, topics.SPEED: speed_name, topics.STEER_TORQUE: torque_name}
         found = _samples_of(bag, {name: topic for topic, name in names.items() if name})
+        if topics.IMU not in found:
+            raise RecordingError(
+                f"{bag.path}: expected the messages of {imu_name} that the bag counts, found none: it is"
+                f" damaged; `tms bag repair {bag.path} -o NEW` saves what is there"
+            )
         imu, repeated = found[topics.IMU]
         speed, repeated_speed = found.get(topics.SPEED, (None, 0))
         torque, repeated_torque = found.get(topics.STEER_TORQUE, (None, 0))

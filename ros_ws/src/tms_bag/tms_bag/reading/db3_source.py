@@ -76,6 +76,8 @@ class Db3Source:
             index.channels[connection.id] = _channel(connection)
             index.counts[connection.id] = connection.msgcount
         if reader.message_count:
+            if reader.duration <= 0:
+                raise ValueError("its messages end before they begin")
             parts = math.ceil(max(reader.message_count / PART, self.size / PART_SIZE))
             parts = min(parts, max(reader.duration, 1), 2**20)
             edges = [reader.start_time + reader.duration * part // parts for part in range(parts + 1)]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -257,11 +258,20 @@ class _Builder:
         indexed = statistics.chunk_count == len(self._chunks) and (
             self.index.spans or not statistics.message_count
         )
-        if not (known and indexed):
+        if not (known and indexed and self._spans_tell(n for n, count in counts.items() if count)):
             return None
         self.index.counts = counts
         self.index.complete = True
         return self.index
+
+    def _spans_tell(self, channels: Iterable[int]) -> bool:
+        """Whether the chunks are said to hold messages of all these channels, and to end after they begin."""
+        said: set[int] = set()
+        for span in self.index.spans:
+            if span.start_ns > span.end_ns:
+                return False
+            said |= self.index.channels.keys() if span.channels is None else span.channels
+        return said.issuperset(channels)
 
     def _add_chunk(self, frame: Frame) -> None:
         block, others = block_of(*frames.chunk_content(frames.content_of(self._file, frame)))
