@@ -99,3 +99,16 @@ def test_a_speed_that_nobody_measured_is_found_from_what_is_known_beforehand() -
         fit_recording(silent, load_bicycle("tms_eq_10_1"), replace(settings, priors={}))
     with pytest.raises(ParameterError, match="expected a positive mean"):
         replace(settings, priors={"speed": (-3.2, 0.4)})
+
+
+def test_a_simulated_controller_and_a_fitted_one_turn_the_same_fork() -> None:
+    # The calibrated bicycle's fork feels 1.17 times what is commanded, in the simulator as in the fit. By an
+    # ideal sensor only what the feedback's slope makes of noise in the speed and of its samples is left.
+    run = run_of("delft_push", 3, bicycle="delft_sbw_calibrated", imu__grade="ideal", speed_sensor__noise=0.0)
+    bicycle = load_bicycle("delft_sbw_calibrated")
+    assert bicycle.steer_elements.steer_torque_gain > 1.1
+    settings = FitSettings(free=("initial_lean_rate",), estimators=("least_squares",))
+    (strike,) = fit_recording(recording(run), bicycle, settings).strikes
+    (found,) = strike.estimates
+    assert found.parameters["initial_lean_rate"] == pytest.approx(-0.7, rel=1e-3)
+    assert min(found.vaf.values()) > 1.0 - 1e-5

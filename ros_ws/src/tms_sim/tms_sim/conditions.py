@@ -117,10 +117,11 @@ def _effective_floor(scenario: Scenario, intervention: Intervention) -> Floor:
 
 
 def _bicycle(scenario: Scenario, intervention: Intervention) -> Bicycle:
-    """The bicycle after the intervention, the controller's feedback among its steer elements."""
+    """The bicycle after the intervention, among its steer elements what arrives of the controller's feedback."""
     bicycle = changed_bicycle(load_bicycle(scenario.text("bicycle")), intervention)
     elements = bicycle.steer_elements
-    gain = elements.lean_rate_gain + scenario.number("steer_torque.lean_rate_gain")
+    commanded = scenario.number("steer_torque.lean_rate_gain")
+    gain = elements.lean_rate_gain + elements.steer_torque_gain * commanded
     return replace(bicycle, steer_elements=replace(elements, lean_rate_gain=gain))
 
 
