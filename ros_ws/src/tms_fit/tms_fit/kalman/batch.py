@@ -8,12 +8,13 @@ for every sample, and one sum with the gain for every channel of it, done for al
 x: state, y: measurement, e: innovation, each given the channels before it. Runs stand last in the arrays, and
 as many are taken at a time as the processor's cache holds.
 
-The smoother is Bryson and Frazier's (see `tms_fit.estimators.kalman_rts`): its adjoint pass gives gradient
-and curvature of minus the log-likelihood by the state at the start, so the prior can be taken out exactly.
+The smoother needs no second pass over the runs. Innovations are linear in the state at the start, with
+sensitivities that are the same for all runs that share gains: gradient and curvature of minus the
+log-likelihood by that state are sums over the innovations, so the prior can be taken out exactly.
 
 References: G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation", Academic Press (1977),
-chapter 2; "Fixed interval smoothing with discrete measurements", Int. J. Control 18 (1973), doi
-10.1080/00207177308932487.
+chapter 2; F. C. Schweppe, IEEE Trans. Information Theory 11 (1965), doi 10.1109/TIT.1965.1053737, for the
+likelihood by innovations.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-from tms_fit.kalman.gains import Gains, gains, moved
+from tms_fit.kalman.gains import Gains, gains, sensitivities
 from tms_fit.kalman.state_space import StateSpace
 
 CHUNK = 2000  # runs at a time
@@ -116,42 +117,15 @@ def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) ->
     """
     space, known = filtered.space, filtered.gains
     innovation = np.moveaxis(filtered.innovation, 0, -1)
-    gradient = np.empty((space.mean.size, innovation.shape[2]))
-    for k in range(0, innovation.shape[2], CHUNK):
-        part = slice(k, k + CHUNK)
-        gradient[:, part] = _gradient(space, known, part, innovation[:, :, part])
-    curvature = np.moveaxis(_curvature(space, known), -1, 0)
-    return _start(space, gradient.T, curvature[known.pattern], free, prior)
-
-
-def _gradient(space: StateSpace, known: Gains, part: slice, innovation: Array) -> Array:
-    """Gradient (s, r) of minus the log-likelihood by the state at the start."""
-    count, channels, runs = innovation.shape
-    adjoint = np.zeros((space.mean.size, runs))
-    change = np.empty_like(adjoint)
-    own = known.of(part)
-    for k in range(count - 1, -1, -1):
-        for c in range(channels - 1, -1, -1):
-            along = np.einsum("sr,sr->r", known.gain[k, c][:, own], adjoint)
-            along += innovation[k, c] / known.variance[k, c, own]
-            adjoint -= np.multiply(space.rows[k, c][:, None], along, out=change)
-        adjoint = space.transitions[k].T @ adjoint
-    return adjoint
-
-
-def _curvature(space: StateSpace, known: Gains) -> Array:
-    """Curvature (s, s, g) of the same, of each pattern."""
-    count, channels, size, patterns = known.gain.shape
-    found = np.zeros((size, size, patterns))
-    for k in range(count - 1, -1, -1):
-        for c in range(channels - 1, -1, -1):
-            # M' W M + h h' / variance, of M = 1 - K h
-            row, gain = space.rows[k, c][:, None], known.gain[k, c]
-            along = np.einsum("stg,tg->sg", found, gain)
-            along -= 0.5 * row * (np.einsum("sg,sg->g", gain, along) + 1.0 / known.variance[k, c])
-            found -= row[:, None] * along + along[:, None] * row
-        found = moved(space.transitions[k].T, found)
-    return found
+    seen, curvature = sensitivities(space, known)
+    seen /= known.variance[:, :, None]
+    gradient = np.zeros((space.mean.size, innovation.shape[2]))
+    for first in range(0, innovation.shape[2], CHUNK):
+        part = slice(first, first + CHUNK)
+        own = known.of(part)
+        for k in range(len(innovation)):
+            gradient[:, part] -= np.einsum("csr,cr->sr", seen[k][:, :, own], innovation[k, :, part])
+    return _start(space, gradient.T, np.moveaxis(curvature, -1, 0)[known.pattern], free, prior)
 
 
 def _start(space: StateSpace, gradient: Array, curvature: Array, free: list[int], prior: bool) -> Start:

@@ -46,11 +46,22 @@ def gains(space: StateSpace, present: NDArray[np.bool_]) -> Gains:
     return Gains(pattern, there, gain, variance, covariance)
 
 
-def moved(transition: Array, covariance: Array) -> Array:
-    """F P F' of one F (s, s) and many P (s, s, g)."""
-    once = (transition @ covariance.reshape(len(covariance), -1)).reshape(covariance.shape)
-    twice: Array = np.matmul(transition, once)
-    return twice
+def sensitivities(space: StateSpace, known: Gains) -> tuple[Array, Array]:
+    """By how much the innovations fall with the state at the start (n, m, s, g), and the curvature (s, s, g).
+
+    That is the curvature of minus the log-likelihood by that state.
+    """
+    count, channels, size, patterns = known.gain.shape
+    seen, curvature = np.empty(known.gain.shape), np.zeros((size, size, patterns))
+    state = np.repeat(np.eye(size)[:, :, None], patterns, axis=2)  # its derivative by that at the start
+    for k in range(count):
+        state = (space.transitions[k] @ state.reshape(size, -1)).reshape(state.shape)
+        for c in range(channels):
+            found = seen[k, c]
+            found[:] = (space.rows[k, c] @ state.reshape(size, -1)).reshape(size, patterns)
+            curvature += (found / known.variance[k, c])[:, None] * found
+            state -= known.gain[k, c][:, None] * found
+    return seen, curvature
 
 
 def _patterns(present: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
@@ -71,7 +82,9 @@ def _recursion(space: StateSpace, there: NDArray[np.bool_]) -> tuple[Array, Arra
     gain, variance = np.empty((count, channels, size, patterns)), np.empty(there.shape)
     known = np.empty_like(covariance)
     for k in range(count):
-        covariance = moved(space.transitions[k], covariance)
+        transition = space.transitions[k]
+        covariance = (transition @ covariance.reshape(size, -1)).reshape(covariance.shape)
+        covariance = np.matmul(transition, covariance)  # F P F': this one along the second axis
         covariance += space.process[k][:, :, None]
         for c in range(channels):
             row = space.rows[k, c]
