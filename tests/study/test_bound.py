@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tms_fit.settings import PARAMETERS
 from tms_sim.scenario import load_scenario
 from tms_study.bound import Experiment, bound, planned, table
 
@@ -16,6 +17,7 @@ from tms_study.bound import Experiment, bound, planned, table
 # computed with independent code, two implementations agreed.
 EXPERIMENT = Experiment(rate=100.0, noise_density=0.002, duration=4.0, lean_rate=0.5)
 LEAN_RATE, BIASES = ("initial_lean_rate",), ("lean_rate_bias", "yaw_rate_bias")
+ON_RUBBER = {"floor": "thin_rubber", "effects.rolling_resistance": True}
 STATES = ("initial_lean", "initial_steer", "initial_lean_rate", "initial_steer_rate")
 KNOWN = [
     (LEAN_RATE, 1.2066e-3, 5e-8),
@@ -81,3 +83,40 @@ def test_every_tenth_sample_of_a_fast_sensor_has_the_noise_of_a_fast_one() -> No
     picked = planned(load_scenario("tms_strike", {"imu.raw_rate": 1000.0}))
     assert (picked.rate, slow.rate) == (100.0, 100.0)
     assert picked.noise == pytest.approx(math.sqrt(10.0) * slow.noise, rel=1e-12)
+
+
+def test_the_floor_slows_the_bicycle_down() -> None:
+    # On C_r = 0.06, as in tests/fit/test_projection.py: 0.97 mrad/s alone, 1.40 with speed and C_r, C_r to
+    # 0.7 %.
+    scenario = load_scenario("tms_strike", {**ON_RUBBER, "speed_at_strike": 3.6})
+    assert bound(scenario, EXPERIMENT, LEAN_RATE).std["initial_lean_rate"] == pytest.approx(0.97e-3, abs=5e-6)
+    both = bound(scenario, EXPERIMENT, (*LEAN_RATE, "speed", "rolling_resistance")).std
+    assert both["initial_lean_rate"] == pytest.approx(1.40e-3, abs=1e-5)
+    assert both["rolling_resistance"] / 0.06 == pytest.approx(0.0070, abs=1e-4)
+
+
+def test_a_ride_that_ends_sooner_has_no_later_samples() -> None:
+    slow = load_scenario("tms_strike", {**ON_RUBBER, "speed_at_strike": 1.5})
+    durations = [one.experiment.duration for one in table(slow, LEAN_RATE)]
+    assert max(durations) < 1.5 / (0.06 * 9.81) < 3.0
+
+
+def test_a_kick_of_the_steering_is_in_it_and_grows_with_the_strike() -> None:
+    free = (*LEAN_RATE, "speed")
+    kicked = load_scenario("gym_run", {"effects.rolling_resistance": False})
+    by_hand = load_scenario("tms_strike", {"strike.lean_rate": 0.2, "strike.steer_rate": -7.0 * 0.2})
+    plain = load_scenario("tms_strike", {"strike.lean_rate": 0.2})
+    found, same, other = (
+        bound(one, replace(EXPERIMENT, lean_rate=0.2), free).std for one in (kicked, by_hand, plain)
+    )
+    assert found["speed"] == pytest.approx(same["speed"], rel=0.02)  # the kick is -7.0 to two digits
+    assert found["speed"] < 0.9 * other["speed"]
+    harder = bound(kicked, replace(EXPERIMENT, lean_rate=0.4), free).std
+    assert harder["speed"] == pytest.approx(found["speed"] / 2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_parameter_has_a_bound(name: str) -> None:
+    # Beside the lean rate, in a run that tells it: friction and slip were said not to be told apart from it.
+    free = tuple(dict.fromkeys((*LEAN_RATE, name)))
+    assert bound(load_scenario("tms_strike"), EXPERIMENT, free).std.keys() == set(free)

@@ -117,7 +117,7 @@ def _effective_floor(scenario: Scenario, intervention: Intervention) -> Floor:
 
 
 def _bicycle(scenario: Scenario, intervention: Intervention) -> Bicycle:
-    """The bicycle after the intervention, among its steer elements what arrives of the controller's feedback."""
+    """The bicycle after the intervention, with what arrives of the controller's feedback."""
     bicycle = changed_bicycle(load_bicycle(scenario.text("bicycle")), intervention)
     elements = bicycle.steer_elements
     commanded = scenario.number("steer_torque.lean_rate_gain")

@@ -3,8 +3,9 @@
 No unbiased estimator has a smaller standard deviation than the root of the inverse Fisher information.
 For white noise of standard deviation s that is s^2 (J' J)^-1, J the derivatives of both channels by all
 that is free (H. Cramer, Mathematical Methods of Statistics, 1946, section 32.6). The bound is that of the
-model of the estimator at the scenario's truth, so that one can choose sample rate, noise, duration and
-strength.
+model of the estimator at the scenario's truth (its speed falls as the floor makes it, its strike kicks the
+steering if it does in the scenario; slip, shimmy and joints are left out), so that one can choose sample
+rate, noise, duration and strength.
 """
 
 from __future__ import annotations
@@ -14,13 +15,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from tms_fit.criticism.hypotheses import SLIP as SLIP_WINDOW
 from tms_fit.least_squares.prediction import derivative, predictor
-from tms_fit.settings import CHANNELS, LINEAR, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.settings import CHANNELS, FRICTION, INITIAL, LINEAR, FitSettings, shaping
+from tms_fit.speed_curve import SpeedCurve, constant_speed
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
+from tms_sim.conditions import Conditions, Strike, conditions
 from tms_sim.imu_grade import load_imu
+from tms_sim.intervention import changed_bicycle, load_intervention
 from tms_sim.scenario import Scenario
 
 FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias", "speed")
@@ -28,6 +33,7 @@ RATES = (25.0, 50.0, 100.0, 200.0, 1000.0)  # [Hz]
 NOISES = (0.5, 1.0, 2.0)  # of the scenario's noise density
 DURATIONS = (1.0, 1.5, 3.0, 4.0)  # [s]
 STRENGTHS = (0.5, 1.0, 2.0)  # of the scenario's strike
+STANDING = 0.2  # [s] before it stands, when a linear bicycle means nothing any more
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,15 @@ def planned(scenario: Scenario, window: float = FitSettings.window) -> Experimen
     # imu/lean_yaw holds every n-th sample as it is, with the noise of one sample of the faster raw topic.
     density = load_imu(scenario.text("imu.grade")).gyroscope.noise_density * math.sqrt(scenario.imu_every)
     left = scenario.number("duration") - scenario.numbers("strike.time")[0]
-    return Experiment(rate, density, min(left, window), scenario.numbers("strike.lean_rate")[0])
+    return Experiment(
+        rate, density, min(left, window, _rolls(scenario)), scenario.numbers("strike.lean_rate")[0]
+    )
+
+
+def _rolls(scenario: Scenario) -> float:
+    """How long [s] the bicycle goes on after the first strike before rolling has taken its speed."""
+    ride = conditions(scenario, np.random.default_rng(0))
+    return ride.stop - ride.strikes[0].time - STANDING
 
 
 def bound(scenario: Scenario, experiment: Experiment, free: tuple[str, ...]) -> Bound:
@@ -83,10 +97,14 @@ def bound(scenario: Scenario, experiment: Experiment, free: tuple[str, ...]) -> 
 
 def table(scenario: Scenario, free: tuple[str, ...]) -> list[Bound]:
     """The scenario's own experiment, and others that differ from it in one choice each."""
-    own = planned(scenario)
+    own, rolls = planned(scenario), _rolls(scenario)
     others = [Experiment(rate, own.noise_density, own.duration, own.lean_rate) for rate in RATES]
     others += [Experiment(own.rate, own.noise_density * k, own.duration, own.lean_rate) for k in NOISES]
-    others += [Experiment(own.rate, own.noise_density, duration, own.lean_rate) for duration in DURATIONS]
+    others += [
+        Experiment(own.rate, own.noise_density, duration, own.lean_rate)
+        for duration in DURATIONS
+        if duration < rolls
+    ]
     others += [Experiment(own.rate, own.noise_density, own.duration, own.lean_rate * k) for k in STRENGTHS]
     others += [
         Experiment(own.rate, own.noise_density, own.duration, own.lean_rate, (channel,))
@@ -140,27 +158,47 @@ def to_text(scenario: Scenario, free: tuple[str, ...], rows: list[Bound]) -> str
 def _jacobian(scenario: Scenario, experiment: Experiment, free: tuple[str, ...]) -> Array:
     """Derivatives (m, p) of all samples used by what is free, at the scenario's truth."""
     count = round(experiment.duration * experiment.rate)
-    time = np.arange(count) / experiment.rate
-    window = Window(
-        first_ns=0,
-        time=time,
-        lean_rate=np.zeros(count),
-        yaw_rate=np.zeros(count),
-        bicycle=load_bicycle(scenario.text("bicycle")),
-        speed=constant_speed(scenario.number("speed_at_strike") or scenario.number("speed")),
-        lean_rate_gain=scenario.number("steer_torque.lean_rate_gain"),
-    )
+    ride = conditions(scenario, np.random.default_rng(0))  # nothing used here is drawn
+    window = _window(scenario, ride, np.arange(count) / experiment.rate)
+    falling = -ride.plant.acceleration
     truth = {
         "initial_lean_rate": experiment.lean_rate,
-        "initial_steer_rate": scenario.numbers("strike.steer_rate")[0],
+        "initial_steer_rate": _steer_rate(scenario, ride.strikes[0], experiment.lean_rate),
     }
-    nonlinear = {"rolling_resistance": 0.0} if "rolling_resistance" in free else {}
+    shapes = {"rolling_resistance": falling / coasting_loss(window.bicycle), FRICTION: 0.0}
+    nonlinear = shaping({**truth, **{name: value for name, value in shapes.items() if name in free}})
     model = predictor(window, nonlinear)
     columns = [
         model.columns[:, :, LINEAR.index(name)]
-        if name in LINEAR
+        if name in LINEAR and (FRICTION not in free or name not in INITIAL)
         else derivative(window, nonlinear, name).predict(truth)
         for name in free
     ]
     used = [index for index, name in enumerate(CHANNELS) if name in experiment.channels]
     return np.stack(columns, axis=2)[:, used].reshape(-1, len(free))
+
+
+def _window(scenario: Scenario, ride: Conditions, time: Array) -> Window:
+    """The window (n,) after the first strike, nothing measured: bicycle, feedback and speed as they are."""
+    speed, acceleration = ride.speed(ride.strikes[0].time), ride.plant.acceleration
+    return Window(
+        first_ns=0,
+        time=time,
+        lean_rate=np.zeros(len(time)),
+        yaw_rate=np.zeros(len(time)),
+        bicycle=changed_bicycle(
+            load_bicycle(scenario.text("bicycle")), load_intervention(scenario.text("intervention"))
+        ),
+        speed=SpeedCurve(np.array([speed, acceleration]), np.zeros((2, 2)))
+        if acceleration
+        else constant_speed(speed),
+        lean_rate_gain=scenario.number("steer_torque.lean_rate_gain"),
+        slip_window=SLIP_WINDOW,
+    )
+
+
+def _steer_rate(scenario: Scenario, strike: Strike, lean_rate: float) -> float:
+    """Steer rate [rad/s] after a strike of another size: the kick grows with it, a hand's part doesn't."""
+    by_hand = scenario.numbers("strike.steer_rate")[0]
+    kick = (strike.steer_rate - by_hand) / strike.lean_rate if strike.lean_rate else 0.0
+    return by_hand + kick * lean_rate
