@@ -99,11 +99,11 @@ def _filter(
         state = space.transitions[k] @ state
         for c in range(channels):
             error = innovation[k, c]
-            there = True if everything else known.present[k, c, own]
+            there = True if everything else known.present[k, c][own]
             np.subtract(values[k, c], space.rows[k, c] @ state, out=error, where=there)
-            state += np.multiply(known.gain[k, c][:, own], error, out=change)
+            state += np.multiply(_of(known.gain[k, c], own), error, out=change)
             np.multiply(error, error, out=weighted)
-            weighted /= known.variance[k, c, own]
+            weighted /= known.variance[k, c][own]
             nis[k] += weighted
     return state
 
@@ -124,7 +124,7 @@ def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) ->
         part = slice(first, first + CHUNK)
         own = known.of(part)
         for k in range(len(innovation)):
-            gradient[:, part] -= np.einsum("csr,cr->sr", seen[k][:, :, own], innovation[k, :, part])
+            gradient[:, part] -= np.einsum("csr,cr->sr", _of(seen[k], own), innovation[k, :, part])
     return _start(space, gradient.T, np.moveaxis(curvature, -1, 0)[known.pattern], free, prior)
 
 
@@ -138,3 +138,8 @@ def _start(space: StateSpace, gradient: Array, curvature: Array, free: list[int]
         return Start(space.mean[free] - slope @ known, known - known @ bend @ known)
     inverse = np.linalg.inv(bend)
     return Start(space.mean[free] - np.einsum("rpq,rq->rp", inverse, slope), inverse - known)
+
+
+def _of(numbers: Array, own: NDArray[np.intp] | slice) -> Array:
+    """Those of some runs, which stand last: `take` is three times as fast as an index."""
+    return numbers[..., own] if isinstance(own, slice) else numbers.take(own, axis=-1)

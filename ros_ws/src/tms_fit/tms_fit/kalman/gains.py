@@ -41,8 +41,12 @@ class Gains:
 def gains(space: StateSpace, present: NDArray[np.bool_]) -> Gains:
     """Gains for runs whose measurements are present (r, n, m)."""
     pattern, there = _patterns(present)
-    parts = [_recursion(space, there[:, :, k : k + CHUNK]) for k in range(0, max(there.shape[2], 1), CHUNK)]
-    gain, variance, covariance = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+    (count, channels, patterns), size = there.shape, space.mean.size
+    gain, variance = np.empty((count, channels, size, patterns)), np.empty(there.shape)
+    covariance = np.empty((size, size, patterns))
+    for k in range(0, patterns, CHUNK):
+        part = slice(k, k + CHUNK)
+        covariance[:, :, part] = _recursion(space, there[:, :, part], gain[..., part], variance[..., part])
     return Gains(pattern, there, gain, variance, covariance)
 
 
@@ -75,11 +79,10 @@ def _patterns(present: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.
     return pattern.reshape(-1), np.ascontiguousarray(np.moveaxis(present[first], 0, -1))
 
 
-def _recursion(space: StateSpace, there: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Gain, variance and last covariance of some patterns."""
+def _recursion(space: StateSpace, there: NDArray[np.bool_], gain: Array, variance: Array) -> Array:
+    """Covariance (s, s, g) at the last sample of some patterns (n, m, g); fills in gain and variance."""
     (count, channels, patterns), size = there.shape, space.mean.size
     covariance = np.repeat(space.covariance[:, :, None], patterns, axis=2)
-    gain, variance = np.empty((count, channels, size, patterns)), np.empty(there.shape)
     known = np.empty_like(covariance)
     for k in range(count):
         transition = space.transitions[k]
@@ -94,4 +97,5 @@ def _recursion(space: StateSpace, there: NDArray[np.bool_]) -> tuple[Array, Arra
             covariance -= np.multiply(gain[k, c][:, None], along, out=known)
             variance[k, c] = spread
     variance[~there] = np.inf
-    return gain, variance, 0.5 * (covariance + np.swapaxes(covariance, 0, 1))
+    symmetric: Array = 0.5 * (covariance + np.swapaxes(covariance, 0, 1))
+    return symmetric
