@@ -20,6 +20,10 @@ from tms_fit.criticism.residuals import SURE, probability
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.choices import choose
+from tms_fit.least_squares.noise import autoregressive
+from tms_fit.least_squares.noise.coloured import Coloured
+from tms_fit.least_squares.noise.process import ProcessNoise, grid_places
+from tms_fit.least_squares.prediction import predict_by
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
@@ -67,9 +71,10 @@ def impulse_ratio(bicycle: Bicycle) -> float:
 
 
 def _no_slip(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
-    """Whether the first 0.2 s go with the rest: Chow's test, fewer degrees of freedom for coloured noise.
+    """Whether the first 0.2 s go with the rest: Chow's test, by residuals made white where they are coloured.
 
     G. C. Chow, Econometrica 28 (1960), doi 10.2307/1910133: residual sums with and without the early samples.
+    Coloured noise is taken for the one that the rest shows.
     """
     early = window.time + window.delay < SLIP
     absent = np.where(early, np.nan, 0.0)
@@ -77,15 +82,14 @@ def _no_slip(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict
     rest = fit_window(late, replace(settings, free=narrow.names))
     if rest.status != "ok" or narrow.sample_count <= rest.sample_count:  # slip is left out already
         return None
-    rho = max(0.0, rest.residual_autocorrelation)
-    share = (1.0 - rho) / (1.0 + rho)
     count = narrow.sample_count - rest.sample_count
     own = float(np.nansum(rest.residual**2))
     more = max(float(np.nansum(narrow.residual**2)) - own, 0.0)
-    degrees = (max(count * share, 1.0), max(rest.degrees_of_freedom * share, 1.0))
-    statistic = more / count / (own / rest.degrees_of_freedom)
-    p = float(stats.f.sf(statistic, *degrees))
     size = math.sqrt(more / count)
+    if rest.noise_model != "white":
+        own, more = _white_squares(window, narrow, late, rest)
+    statistic = more / count / (own / rest.degrees_of_freedom)
+    p = float(stats.f.sf(statistic, count, max(rest.degrees_of_freedom, 1)))
     said = f"the first {SLIP:g} s are off the rest by {size:.3f} rad/s"
     sentence = (
         f"no slip at the strike is rejected ({probability(p)}); {said}"
@@ -94,6 +98,27 @@ def _no_slip(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict
     )
     nan = float("nan")
     return Verdict("no slip at the strike", "slip", size, nan, 0.0, statistic, p, nan, nan, sentence)
+
+
+def _white_squares(window: Window, narrow: Estimate, late: Window, rest: Estimate) -> tuple[float, float]:
+    """Squares of the rest's whitened residuals, and how much larger they are with the early samples."""
+    predicted, jacobian = predict_by(window, narrow)
+    residual = window.measured - predicted
+    kept = np.isfinite(late.measured)
+    shown = autoregressive.fit(late.time, np.where(kept, rest.residual, np.nan), jacobian)
+    places = grid_places(window.time)
+    good = np.isfinite(window.measured)
+    channels = {}
+    for c, noise in shown.channels.items():
+        assert isinstance(noise, ProcessNoise)
+        own = places[good[:, c]]
+        channels[c] = ProcessNoise(noise.process, noise.std, own - own[0], int(own[-1] - own[0]) + 1)
+    squares = []
+    for noise in (shown, Coloured(good, {}, channels)):
+        matrix, target = noise.rows(jacobian), noise.rows(residual)
+        left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+        squares.append(float(left @ left))
+    return squares[0], max(squares[1] - squares[0], 0.0)
 
 
 def _constant_speed(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
