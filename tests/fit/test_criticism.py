@@ -219,8 +219,8 @@ def test_a_slip_at_the_start_is_seen() -> None:
 
 
 def test_coloured_noise_is_no_slip() -> None:
-    # 20 runs with noise correlated over 0.2 s: at 1e-3 none is expected, 2 come once in 5000. By residuals that
-    # are not made white 4 of these were rejected.
+    # 20 runs with noise correlated over 0.2 s: at 1e-3 none is expected, 2 come once in 5000. By residuals
+    # that are not made white 4 of these were rejected.
     kept, rng = math.exp(-0.01 / 0.2), np.random.default_rng(5)
     noise = rng.standard_normal((20, 151, 2))
     for k in range(1, 151):
