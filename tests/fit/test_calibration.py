@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.joint.calibration import Calibration, calibrate, priors_for
+from scipy.stats import t as student_t
+from tms_fit.joint.arrow import ArrowSolution
+from tms_fit.joint.calibration import Calibration, balanced_noise, calibrate, priors_for, scatter_degrees
 from tms_fit.joint.calibration_result import in_word
 from tms_fit.joint.cross_validation import jackknife_std, lean_rate_vaf, leave_recordings_out, leave_runs_out
-from tms_fit.joint.free_responses import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.free_responses import linearise, model_of, solve_jointly
 from tms_fit.joint.identifiability import identify
+from tms_fit.joint.problem import JointProblem, JointSolution, Run
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, linear_system, load_bicycle, with_parameters
@@ -101,7 +104,67 @@ def test_alike_residuals_count_less(calibrations: list[Calibration], delft: Bicy
         calibrate(delft, pushes(delft, TRUTH, generator, 4, 0.04, 0.0), tuple(TRUTH), PRIORS).design_effect
         for _ in range(5)
     ]
-    assert 0.99 < np.median(white) < 1.6
+    assert 0.5 < np.median(white) < 1.6
+
+
+def shaking(generator: np.random.Generator, std: float) -> np.ndarray:
+    """An oscillation (n,) of 20 Hz, twice as large as white noise under it, its phase forgotten in 0.5 s."""
+    turn = np.exp((-2.0 + 40j * np.pi) * 0.01)
+    draws = generator.standard_normal((len(TIME), 2)) @ np.array([1.0, 1j])
+    for k in range(1, len(TIME)):
+        draws[k] = turn * draws[k - 1] + np.sqrt(1.0 - abs(turn) ** 2) * draws[k]
+    return 2.0 * std * draws.real + std * generator.standard_normal(len(TIME))
+
+
+@pytest.mark.parametrize(("kind", "each"), [("white", 8), ("shimmy", 8), ("0.05", 8), ("0.2", 8), ("0.2", 2)])
+def test_intervals_by_the_scatter_of_pushes_hold_whatever_the_noise_is_like(
+    delft: Bicycle, kind: str, each: int
+) -> None:
+    # Truths drawn from the priors and predictions taken as linear, so that many campaigns are cheap.
+    generator = np.random.default_rng(23)
+    runs = pushes(delft, TRUTH, generator, each, 0.0, 0.0)
+    problem = JointProblem(runs, nonlinear=tuple(TRUTH), priors=PRIORS)
+    around = linearise(problem, np.array(list(TRUTH.values()))).arrow
+    assert around is not None
+    bases = [np.linalg.qr(model_of(run.window, TRUTH).select(OWN)[:, 0])[0] for run in runs]
+    mean = np.array([prior.value for prior in PRIORS.values()])
+    spread = np.array([prior.deviation for prior in PRIORS.values()])
+    inside = []
+    for _ in range(100):
+        truth, measured = spread * generator.standard_normal(3), []
+        for slope, basis in zip(around.projected, bases, strict=True):
+            noise = (
+                shaking(generator, 0.04)
+                if kind == "shimmy"
+                else coloured(generator, 0.04, 0.0 if kind == "white" else float(kind), len(TIME))
+            )
+            measured.append(slope @ truth + noise - basis @ (basis.T @ noise))
+        solution = linear_calibration(problem, around.projected, measured, mean)
+        assert solution.arrow is not None
+        std = np.sqrt(np.diag(solution.arrow.shared_inverse))
+        wide = student_t.ppf(0.975, scatter_degrees(solution))
+        inside.append(np.abs(solution.shared - mean - truth) < wide * std)
+    # 0.95 of 300, correlated by threes at most: 0.022 is the deviation; four pushes hold a little less.
+    assert (0.89 if each > 2 else 0.86) < np.mean(inside) < 0.99
+
+
+def linear_calibration(
+    problem: JointProblem, slopes: tuple[np.ndarray, ...], measured: list[np.ndarray], mean: np.ndarray
+) -> JointSolution:
+    """What `solve_balanced` comes to where predictions are linear; measured: off those of the priors."""
+    prior = np.diag([1.0 / one.deviation**2 for one in PRIORS.values()])
+    noise = 0.16
+    for _ in range(30):
+        information = sum(slope.T @ slope for slope in slopes) / noise**2
+        pull = sum(slope.T @ one for slope, one in zip(slopes, measured, strict=True)) / noise**2
+        covariance = np.linalg.inv(information + prior)
+        step = covariance @ pull
+        left = tuple(one - slope @ step for slope, one in zip(slopes, measured, strict=True))
+        scaled = tuple(slope / noise for slope in slopes)
+        arrow = ArrowSolution((), step, (), (), covariance, scaled)
+        found = JointSolution(replace(problem, noise=noise), "ok", "", mean + step, (), left, arrow)
+        noise = balanced_noise(found)
+    return found
 
 
 def test_leaving_pushes_out_tells_the_same_scatter(calibrations: list[Calibration]) -> None:

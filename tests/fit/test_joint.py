@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.joint.arrow import Block, solve_arrow
-from tms_fit.joint.free_responses import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.free_responses import model_of, solve_jointly
+from tms_fit.joint.problem import JointProblem, Run
 from tms_fit.joint.together import Strike, fit_together
 from tms_fit.settings import FitSettings
 from tms_fit.speed_curve import constant_speed
@@ -190,7 +191,11 @@ def test_the_command_line_tells_how_strikes_differ(command: Any) -> None:
         (("together", BAGS[0], "--near", "1.0", "--near", "2.0"), "near: expected once per bag"),
         (("together", BAGS[0], "--near", "900"), "expected a strike within 0.3 s of 900 s"),
         (("together", BAGS[0], "--share", "speed_of_light"), "share: unknown 'speed_of_light'"),
-        (("together", BAGS[0], "--free", "strike_time,initial_lean_rate"), "expected in fit run only"),
+        (("together", BAGS[0], "--share", "strike_time"), "share: unknown 'strike_time'"),
+        (("together", BAGS[0], "--fix", "steer_coulomb_friction=0.1"), "expected in fit run only"),
+        (("together", BAGS[0], "--prior", "trail=0.1,0.01"), "trail: expected a free parameter; add it to"),
+        (("together", BAGS[0], "--prior", "speed=3,0"), "NAME=MEAN,STD"),
+        (("together", BAGS[0], "--noise", "pink"), "invalid choice: 'pink'"),
         (("together", BAGS[0], "--near", "soon"), "expected times in seconds"),
         (("calibrate", BAGS[0], "--free", "trail", "-o", "a.txt"), "expected a name that ends in .yaml"),
         (("calibrate", BAGS[0], "--free", "trial", "-o", "a.yaml"), "at least 4 strikes"),

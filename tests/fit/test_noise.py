@@ -333,3 +333,16 @@ def test_a_start_that_is_not_straight_is_found_by_evidence() -> None:
     alike = [coloured(rng, 150, 0.2) for _ in range(20)]  # coloured noise is no evidence for a kick
     frees = [fit_window(plus(window, noise), FitSettings()).names for noise in alike]
     assert sum("initial_steer_rate" in names for names in frees) <= 1
+
+
+def test_a_prior_under_noise_that_remembers_weighs_as_much_as_the_data() -> None:
+    # As sure as the data and a standard error away: the answer stands about half-way between, nearer to
+    # whichever the likelier noise lets be surer.
+    made = plus(clean_window(), coloured(np.random.default_rng(21), 150, 0.05))
+    free = ("initial_lean_rate",)
+    plain = fit_window(made, FitSettings(free=free, noise="ar"))
+    value, std = float(plain.values[0]), float(plain.std[0])
+    prior = {"initial_lean_rate": (value + std, std)}
+    both = fit_window(made, FitSettings(free=free, noise="ar", priors=prior))
+    assert both.values[0] == pytest.approx(value + 0.5 * std, abs=0.2 * std)
+    assert both.std[0] == pytest.approx(std / np.sqrt(2.0), rel=0.15)

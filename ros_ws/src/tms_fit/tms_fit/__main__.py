@@ -12,7 +12,7 @@ from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES
 from tms_model.command_line import Parser, print_json, run
 
-from tms_fit.arguments import assignment, each_once, names, numbers, prior
+from tms_fit.arguments import add_noise_arguments, add_prior_argument, assignment, each_once, names
 from tms_fit.criticism.scrutiny import ASKED
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.joint.commands import add_arguments, print_calibration, print_together
@@ -22,7 +22,6 @@ from tms_fit.result import to_json, to_table
 from tms_fit.settings import (
     DEFAULT_FREE,
     INTERVALS,
-    NOISE_MODELS,
     PARAMETERS,
     SATURATIONS,
     SLIPS,
@@ -149,14 +148,7 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="a parameter that is known, SI units; may be repeated",
     )
-    command.add_argument(
-        "--prior",
-        action="append",
-        default=[],
-        type=prior,
-        metavar="NAME=MEAN,STD",
-        help="a free parameter of which something is known beforehand; may be repeated",
-    )
+    add_prior_argument(command, "a free parameter")
     command.add_argument(
         "--window",
         type=float,
@@ -194,28 +186,13 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
 
 def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
     """What the noise is like, and which samples are not to be trusted."""
-    command.add_argument(
-        "--noise",
-        choices=NOISE_MODELS,
-        default=FitSettings.noise,
-        help="white; autoregressive, as intervals need when neighbouring residuals are alike; white with an"
-        " oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the others"
-        " (default %(default)s)",
-    )
+    add_noise_arguments(command)
     command.add_argument(
         "--noise-std",
         type=float,
         metavar="RATE",
         help="[rad/s] of one sample, that the residuals are compared with: reduced chi-square (default: what"
         " the covariance in the IMU's messages says); no estimate depends on it",
-    )
-    command.add_argument(
-        "--oscillator",
-        type=numbers,
-        default=FitSettings.oscillator,
-        metavar="HZ[,S[,RATE]]",
-        help="what is known of that oscillation: frequency, time in which its phase is forgotten, standard"
-        " deviation [rad/s] (default: found from the residuals)",
     )
     command.add_argument(
         "--loss",

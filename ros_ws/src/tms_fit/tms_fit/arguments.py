@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from tms_model import ParameterError
 
+from tms_fit.settings import NOISE_MODELS, FitSettings
+
 Value = TypeVar("Value")
 
 
@@ -38,6 +40,38 @@ def prior(text: str) -> tuple[str, tuple[float, float]]:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with STD positive, found {text!r}")
+
+
+def add_prior_argument(command: argparse.ArgumentParser, unknowns: str) -> None:
+    """Declare `--prior`, the same for every command; unknowns: what a prior may be on, in words."""
+    command.add_argument(
+        "--prior",
+        action="append",
+        default=[],
+        type=prior,
+        metavar="NAME=MEAN,STD",
+        help=f"what is known beforehand of {unknowns}; may be repeated",
+    )
+
+
+def add_noise_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare what the noise is like."""
+    command.add_argument(
+        "--noise",
+        choices=NOISE_MODELS,
+        default=FitSettings.noise,
+        help="white; autoregressive, as intervals need when neighbouring residuals are alike; white with an"
+        " oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the others"
+        " (default %(default)s)",
+    )
+    command.add_argument(
+        "--oscillator",
+        type=numbers,
+        default=FitSettings.oscillator,
+        metavar="HZ[,S[,RATE]]",
+        help="what is known of that oscillation: frequency, time in which its phase is forgotten, standard"
+        " deviation [rad/s] (default: found from the residuals)",
+    )
 
 
 def numbers(text: str) -> tuple[float, ...]:

@@ -15,13 +15,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t as student_t
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 from tms_model.changes import numbers_of
 from tms_model.measured import Measured
 
-from tms_fit.joint.free_responses import JointProblem, JointSolution, Run, solve_jointly
+from tms_fit.joint.free_responses import solve_jointly
 from tms_fit.joint.heterogeneity import RandomEffects, random_effects
+from tms_fit.joint.problem import JointProblem, JointSolution, Run
 from tms_fit.settings import check_known
 
 LEAST_RUNS = 4  # pushes, so that their scatter says something
@@ -67,6 +69,17 @@ class Calibration:
         """(p,)"""
         std: Array = np.sqrt(np.diag(self.covariance))
         return std
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """That the noise is known with, as the scatter of the pushes tells it."""
+        return scatter_degrees(self.solution)
+
+    @property
+    def ci95(self) -> Array:
+        """95 % intervals (p, 2) by Student's t: few pushes tell their scatter badly."""
+        half = float(student_t.ppf(0.975, self.degrees_of_freedom)) * self.std
+        return np.stack([self.values - half, self.values + half], axis=1)
 
     @property
     def contraction(self) -> Array:
@@ -161,8 +174,10 @@ def balanced_noise(solution: JointSolution) -> float:
 
     The predictions are taken as linear around the solution; with another noise the priors pull more or less,
     which moves the solution and the residuals. The scatter of the gradients and what is expected of it are
-    compared in the metric of the covariance, in which directions that only the priors hold weigh little. The
-    noise is not below what the residuals' variance alone says.
+    compared in the metric of the covariance C, in which directions that only the priors hold weigh little. A
+    push pulls the solution towards itself: with information I_i, its gradient at the solution is expected to
+    scatter by I_i - I_i C I_i (R. M. Bell and D. F. McCaffrey, Survey Methodology 28 (2002) 169-181), whether
+    it is the noise or the prior that makes the solution differ from the truth.
     """
     problem, arrow = solution.problem, solution.arrow
     assert arrow is not None
@@ -170,18 +185,29 @@ def balanced_noise(solution: JointSolution) -> float:
     information = [slope.T @ slope for slope in slopes]
     prior = np.linalg.inv(arrow.shared_inverse) - sum(information) / problem.noise**2
     gradients = np.array([s.T @ residual for s, residual in zip(slopes, solution.residuals, strict=True)])
-    count, noise = len(slopes), problem.noise
+    noise = problem.noise
     pull = -gradients.sum(axis=0) / noise**2  # of the priors, at the solution
-    white = sum(float(residual @ residual) for residual in solution.residuals)
-    least = np.sqrt(white / max(problem.degrees_of_freedom, 1))
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(sum(information) / noise**2 + prior)
         step = covariance @ (gradients.sum(axis=0) / noise**2 + pull)
         moved = gradients - np.array([one @ step for one in information])
-        off = moved - moved.mean(axis=0)
-        found = float(np.sum((off @ covariance) * off)) * count / (count - 1)
-        expected = sum(float(np.sum(covariance * one)) for one in information)
-        before, noise = noise, max(float(np.sqrt(found / expected)), float(least))
+        found = float(np.sum((moved @ covariance) * moved))
+        shares = [covariance @ one / noise**2 for one in information]  # of all that is known, each push's
+        expected = noise**2 * sum(float(np.trace(one - one @ one)) for one in shares)
+        before, noise = noise, float(np.sqrt(found / expected))
         if abs(noise / before - 1.0) < 0.1 * SETTLED:
             break
     return noise
+
+
+def scatter_degrees(solution: JointSolution) -> float:
+    """Degrees of freedom of the noise that the runs' gradients show, by Satterthwaite's moments.
+
+    F. E. Satterthwaite, Biometrics Bulletin 2 (1946), doi 10.2307/3002019.
+    """
+    arrow = solution.arrow
+    assert arrow is not None
+    shares = [arrow.shared_inverse @ (one.T @ one) for one in arrow.projected]
+    shares = [one - one @ one for one in shares]
+    total = sum(float(np.trace(one)) for one in shares)
+    return total**2 / sum(float(np.trace(one @ one)) for one in shares)

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from tms_fit.joint.calibration import Calibration
 from tms_fit.joint.calibration_result import Judged
 from tms_fit.joint.cross_validation import JUDGED
-from tms_fit.joint.free_responses import JointProblem, Run, model_of, solve_jointly
+from tms_fit.joint.free_responses import model_of, solve_jointly
+from tms_fit.joint.problem import JointProblem, Run
 from tms_fit.joint.together import Strike
 
 PANELS = 3  # in a row

@@ -19,8 +19,8 @@ from tms_fit.joint.cross_validation import (
     leave_recordings_out,
     leave_runs_out,
 )
-from tms_fit.joint.free_responses import Run
 from tms_fit.joint.identifiability import Identifiability, identify
+from tms_fit.joint.problem import Run
 from tms_fit.joint.together import Strike
 from tms_fit.joint.together_result import heterogeneity_json
 from tms_fit.speed_curve import constant_speed
@@ -100,6 +100,7 @@ def calibration_json(calibration: Calibration, strikes: Sequence[Strike], judged
             name: {
                 "value": float(calibration.values[k]),
                 "std": float(calibration.std[k]),
+                "ci95": calibration.ci95[k].tolist(),
                 "prior": calibration.priors[name].value,
                 "prior_std": calibration.priors[name].deviation,
                 "prior_source": calibration.prior_sources[name],
@@ -113,6 +114,7 @@ def calibration_json(calibration: Calibration, strikes: Sequence[Strike], judged
         "covariance": calibration.covariance.tolist(),
         "noise": calibration.solution.problem.noise,
         "design_effect": calibration.design_effect,
+        "degrees_of_freedom": calibration.degrees_of_freedom,
         "identifiability": {
             "free": _identifiability_json(judged.free),
             "parameters": _identifiability_json(judged.parameters) if judged.parameters else None,
@@ -173,7 +175,8 @@ def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judge
     """What was found and who tells it, the combinations that the data know, and medians of the VAF."""
     lines = [
         f"{calibration.bicycle.name}: {len(strikes)} strikes;"
-        f" {calibration.design_effect:.1f} measurements tell as much as one independent one"
+        f" {calibration.design_effect:.1f} measurements tell as much as one independent one; 95 % intervals"
+        f" by Student's t with {calibration.degrees_of_freedom:.0f} degrees of freedom"
     ]
     lines.append(
         f"{'number':26} {'prior':>19}  {'found':>19}  {'jackknife':>9}  {'told by':14}  each push by itself"

@@ -14,12 +14,12 @@ from tms_model import ParameterError, load_bicycle
 from tms_model.command_line import print_json
 from tms_model.measured import Measured
 
-from tms_fit.arguments import assignment, each_once, names, prior
+from tms_fit.arguments import add_noise_arguments, add_prior_argument, assignment, each_once, names
 from tms_fit.joint.calibration import Calibration, calibrate
 from tms_fit.joint.calibration_file import sources_of, write_calibration
 from tms_fit.joint.calibration_result import Judged, calibration_json, calibration_table, judge
-from tms_fit.joint.free_responses import Run
 from tms_fit.joint.heterogeneity import METHODS
+from tms_fit.joint.problem import Run
 from tms_fit.joint.together import Strike, fit_together, strikes_of, usable
 from tms_fit.joint.together_result import together_json, together_table
 from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
@@ -73,6 +73,8 @@ def add_arguments(commands: Any) -> None:
         metavar="NAME,...",
         help="unknowns that all strikes have in common: biases, numbers of the bicycle (default: none)",
     )
+    add_prior_argument(together, "an unknown, shared or of each strike")
+    add_noise_arguments(together)
     together.add_argument(
         "--method", choices=METHODS, default="reml", help="of the random-effects mean (default reml)"
     )
@@ -84,13 +86,8 @@ def add_arguments(commands: Any) -> None:
         metavar="NAME,...",
         help="numbers of the bicycle to be found: parameters, steer elements, or entries of the matrices",
     )
-    calibrating.add_argument(
-        "--prior",
-        action="append",
-        default=[],
-        type=prior,
-        metavar="NAME=MEAN,STD",
-        help="what is known without these bags (default: the bicycle's standard deviations, else 20 %%)",
+    add_prior_argument(
+        calibrating, "these numbers (default: the bicycle's standard deviations, else 20 %% of the value)"
     )
     calibrating.add_argument(
         "-o", "--output", required=True, help="bicycle to write, a .yaml file for --bicycle"
@@ -104,9 +101,18 @@ def print_together(arguments: argparse.Namespace) -> None:
     if arguments.free is not None:
         free = (*(name for name in arguments.share if name in PARAMETERS), *arguments.free)
         free = tuple(dict.fromkeys(free))
-    fits = _fits(arguments, free)
+    priors = _priors(arguments)
+    fits = _fits(arguments, free, {name: one for name, one in priors.items() if name in PARAMETERS})
     strikes = _chosen(fits, arguments.near)
-    fit = fit_together(strikes, arguments.share, each_once(arguments.fix, "--fix"), arguments.method)
+    fit = fit_together(
+        strikes,
+        arguments.share,
+        each_once(arguments.fix, "--fix"),
+        arguments.method,
+        priors,
+        arguments.noise,
+        arguments.oscillator,
+    )
     if arguments.json:
         print_json(together_json(fit, fits))
     else:
@@ -118,15 +124,13 @@ def print_calibration(arguments: argparse.Namespace, words: Sequence[str]) -> No
     output = Path(arguments.output)
     if output.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"{output}: expected a name that ends in .yaml")
-    fits = _fits(arguments, arguments.each)
+    priors = _priors(arguments)
+    fits = _fits(arguments, arguments.each, {})
     found = {fit.bicycle.name for fit in fits}
     if len(found) > 1:
         raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
-    priors = {
-        name: Measured(mean, std) for name, (mean, std) in each_once(arguments.prior, "--prior").items()
-    }
     calibration = calibrate(fits[0].bicycle, runs, arguments.free, priors)
     judged = judge(calibration, strikes)
     parent = arguments.bicycle or fits[0].bicycle.name
@@ -150,7 +154,14 @@ def _picture(calibration: Calibration, strikes: tuple[Strike, ...], judged: Judg
     save_figure(calibration_figure(calibration, strikes, judged), path)
 
 
-def _fits(arguments: argparse.Namespace, free: tuple[str, ...] | None) -> list[RecordingFit]:
+def _priors(arguments: argparse.Namespace) -> dict[str, Measured]:
+    return {name: Measured(mean, std) for name, (mean, std) in each_once(arguments.prior, "--prior").items()}
+
+
+def _fits(
+    arguments: argparse.Namespace, free: tuple[str, ...] | None, priors: dict[str, Measured]
+) -> list[RecordingFit]:
+    """The strikes of each bag by themselves, under white noise: what is free in each."""
     if arguments.near and len(arguments.near) != len(arguments.bags):
         raise ParameterError(
             f"near: expected once per bag ({len(arguments.bags)}), found {len(arguments.near)} times"
@@ -164,7 +175,8 @@ def _fits(arguments: argparse.Namespace, free: tuple[str, ...] | None) -> list[R
         window=arguments.window,
         speed_model=arguments.speed_model,
         steer_torque=arguments.steer_torque,
-        noise="white",  # as in the fit of all together
+        priors={name: (one.value, one.deviation) for name, one in priors.items()},
+        noise="white",
         estimators=("least_squares",),
     )
     fits = []

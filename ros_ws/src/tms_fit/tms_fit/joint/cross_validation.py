@@ -9,7 +9,8 @@ import numpy as np
 from tms_model.bicycle import Array
 
 from tms_fit.joint.calibration import Calibration
-from tms_fit.joint.free_responses import JointProblem, Run, solve_jointly
+from tms_fit.joint.free_responses import solve_jointly
+from tms_fit.joint.problem import JointProblem, Run
 from tms_fit.window import Window
 
 JUDGED = ("initial_lean_rate",)  # all that a push that is judged may have of its own

@@ -14,7 +14,8 @@ import numpy as np
 from tms_model.bicycle import Array
 from tms_model.measured import Measured
 
-from tms_fit.joint.free_responses import JointProblem, linearise
+from tms_fit.joint.free_responses import linearise
+from tms_fit.joint.problem import JointProblem
 
 SHOWN = 4  # numbers in a combination that is told in words
 SMALL = 0.25  # part of a combination that is not worth a word

@@ -10,25 +10,22 @@ import numpy as np
 from scipy.stats import t as student_t
 from tms_model import ParameterError
 from tms_model.bicycle import Array
+from tms_model.measured import Measured
 
 from tms_fit.estimate import Estimate
+from tms_fit.estimators.least_squares import fit_window
 from tms_fit.joint.arrow import solve_arrow
-from tms_fit.joint.free_responses import (
-    BICYCLE_NUMBERS,
-    JointProblem,
-    JointSolution,
-    Run,
-    block_of,
-    solve_jointly,
-)
+from tms_fit.joint.free_responses import block_of, model_of
 from tms_fit.joint.heterogeneity import RandomEffects, random_effects
+from tms_fit.joint.noise import NoisySolution, solve_with_noise
+from tms_fit.joint.problem import BICYCLE_NUMBERS, JointProblem, JointSolution, Run
 from tms_fit.offline import RecordingFit, first_stamp
-from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, check_known
+from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, FitSettings, check_known
 from tms_fit.speed_curve import SpeedCurve
-from tms_fit.window import Window
+from tms_fit.window import Window, without_saturated
 
-ALONE = ("strike_time", FRICTION)  # in a fit of one run only
-SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name not in ALONE), *BICYCLE_NUMBERS)
+OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
+SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS)
 DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
 
 
@@ -56,10 +53,27 @@ class TogetherFit:
 
     strikes: tuple[Strike, ...]
     left_out: tuple[Strike, ...]  # that had no estimate of their own
-    solution: JointSolution
+    noisy: NoisySolution
     shared_covariance: Array  # (s, s)
     own_covariance: tuple[Array, ...]  # (q, q) of each strike
     between: dict[str, RandomEffects]  # of what each strike's own fit says
+
+    @property
+    def solution(self) -> JointSolution:
+        """The values."""
+        return self.noisy.solution
+
+    @property
+    def residual_std(self) -> float:
+        """Of the samples [rad/s]: measured less predicted, for as many unknowns as there are."""
+        problem = self.solution.problem
+        squares = 0.0
+        for k, run in enumerate(problem.runs):
+            values = self.solution.values(k)
+            squares += float(
+                np.nansum((run.window.measured - model_of(run.window, values).predict(values)) ** 2)
+            )
+        return math.sqrt(squares / max(problem.degrees_of_freedom, 1))
 
     @property
     def quantile(self) -> float:
@@ -76,7 +90,7 @@ def strikes_of(fit: RecordingFit) -> tuple[Strike, ...]:
             index=k,
             seconds=(one.start_ns - start) / 1e9,
             start_ns=one.start_ns,
-            found=one.window,
+            found=None if one.window is None else without_saturated(one.window),
             alone=one.estimates[0],
         )
         for k, one in enumerate(fit.strikes, start=1)
@@ -97,21 +111,23 @@ def fit_together(
     share: tuple[str, ...],
     known: Mapping[str, float] | None = None,
     method: str = "reml",
+    priors: Mapping[str, Measured] | None = None,
+    noise: str = "auto",
+    oscillator: tuple[float, ...] = (),
 ) -> TogetherFit:
     """One fit of strikes that share `share`, biases or numbers of the bicycle.
 
-    The other unknowns are those of the strikes' own fits, `known` what was fixed in them. Raises
-    ParameterError for names that can't be shared, or if no strike can be fitted.
+    The other unknowns are those of the strikes' own fits, `known` what was fixed in them. priors: of shared
+    unknowns, and of those of each strike. noise, and what is known of an oscillator: as for one strike, one
+    law for all; the strikes' own fits are made anew under it. Raises ParameterError for names that can't be
+    shared or aren't free, or if no strike can be fitted.
     """
     check_known(share, SHAREABLE, "share")
     if len(set(share)) < len(share):
         raise ParameterError(f"share: expected each name once, found {', '.join(share)}")
     good, left_out = usable(strikes)
-    for name in ALONE:
-        if any(name in one.alone.names for one in good):
-            raise ParameterError(f"free: {name}: expected in fit run only, where a joint fit takes it from")
-    if FRICTION in (known or {}):
-        raise ParameterError(f"fix: {FRICTION}: expected in fit run only")
+    if any(FRICTION in one.alone.names for one in good) or FRICTION in (known or {}):
+        raise ParameterError(f"{FRICTION}: expected in fit run only, neither free nor fixed here")
     runs = tuple(
         Run(
             one.window,
@@ -120,19 +136,43 @@ def fit_together(
         )
         for one in good
     )
-    linear = tuple(name for name in share if name in LINEAR)
-    problem = JointProblem(runs, linear, tuple(name for name in share if name not in LINEAR), known or {})
-    solution = solve_jointly(problem)
-    if solution.arrow is None:
-        return TogetherFit(good, left_out, solution, np.empty((0, 0)), (), {})
-    shared, own = _covariances(solution)
-    return TogetherFit(good, left_out, solution, shared, own, _between(good, method))
+    problem = JointProblem(
+        runs,
+        tuple(name for name in share if name in LINEAR),
+        tuple(name for name in share if name not in LINEAR),
+        known or {},
+        priors or {},
+    )
+    unknowns = {*problem.shared, *(name for run in runs for name in run.names)}
+    for name in problem.priors:
+        if name not in unknowns:
+            raise ParameterError(f"prior: {name}: expected a free parameter; add it to --free or --share")
+    noisy = solve_with_noise(problem, noise, oscillator)
+    if noisy.solution.arrow is None:
+        return TogetherFit(good, left_out, noisy, np.empty((0, 0)), (), {})
+    shared, own = _covariances(noisy)
+    if noise != "white":
+        good = tuple(_under_noise(one, noise, oscillator) for one in good)
+    return TogetherFit(good, left_out, noisy, shared, own, _between(good, method, problem.priors))
 
 
-def _between(strikes: Sequence[Strike], method: str) -> dict[str, RandomEffects]:
-    """Random-effects mean of each parameter over the strikes' own fits."""
+def _under_noise(one: Strike, noise: str, oscillator: tuple[float, ...]) -> Strike:
+    """The strike with its own fit, of the same unknowns, under another noise."""
+    settings = one.alone.settings or FitSettings()
+    settings = replace(settings, free=one.alone.names, noise=noise, oscillator=oscillator)
+    alone = fit_window(one.window, settings)
+    return replace(one, alone=alone) if alone.status == "ok" else one
+
+
+def _between(
+    strikes: Sequence[Strike], method: str, priors: Mapping[str, Measured]
+) -> dict[str, RandomEffects]:
+    """Random-effects mean of each parameter over the strikes' own fits.
+
+    Not of one with a prior, which is in each of them: they would agree by it.
+    """
     answer = {}
-    for name in dict.fromkeys(name for one in strikes for name in one.alone.names):
+    for name in dict.fromkeys(name for one in strikes for name in one.alone.names if name not in priors):
         pairs = [
             (one.alone.parameters[name], one.alone.std[one.alone.names.index(name)])
             for one in strikes
@@ -144,25 +184,22 @@ def _between(strikes: Sequence[Strike], method: str) -> dict[str, RandomEffects]
     return answer
 
 
-def _covariances(solution: JointSolution) -> tuple[Array, tuple[Array, ...]]:
+def _covariances(noisy: NoisySolution) -> tuple[Array, tuple[Array, ...]]:
     """Covariances of shared and own values: noise as the residuals have it, and what is known inexactly."""
-    assert solution.arrow is not None
-    problem, arrow = solution.problem, solution.arrow
-    scale = solution.variance / problem.noise**2
-    shared = scale * arrow.shared_inverse
-    own = [scale * inverse for inverse in arrow.own_inverse]
+    solution, shared, own = noisy.solution, noisy.shared_covariance, list(noisy.own_covariance)
+    problem = solution.problem
     blocks = [
         block_of(problem, run, solution.shared, values)
         for run, values in zip(problem.runs, solution.own, strict=True)
     ]
-    nothing = np.empty((0, len(problem.shared))), np.empty(0)
+    priors = problem.prior_rows(problem.shared, solution.shared)
     for k, run in enumerate(problem.runs):
         names = {*problem.shared, *run.nonlinear, *problem.known}
         for low, high, width in _inexact(run.window, names):
             steps = []
             for window in (low, high):
                 moved = block_of(problem, replace(run, window=window), solution.shared, solution.own[k])
-                found = solve_arrow([*blocks[:k], moved, *blocks[k + 1 :]], *nothing)
+                found = solve_arrow([*blocks[:k], moved, *blocks[k + 1 :]], *priors)
                 steps.append(found)
             if steps[0] is None or steps[1] is None:
                 continue

@@ -31,7 +31,10 @@ def together_json(fit: TogetherFit, recordings: Sequence[RecordingFit]) -> dict[
             {"bag": one.recording, "strike": one.index, "message": one.alone.message} for one in fit.left_out
         ],
         "heterogeneity": {name: heterogeneity_json(one) for name, one in fit.between.items()},
-        "residual_std": float(np.sqrt(fit.solution.variance)) if found else None,
+        "priors": {name: [one.value, one.deviation] for name, one in problem.priors.items()},
+        "noise": {"model": fit.noisy.model, **fit.noisy.parameters} if found else None,
+        "least_squares": fit.noisy.least_squares if found else None,
+        "residual_std": fit.residual_std if found else None,
         "degrees_of_freedom": problem.degrees_of_freedom,
         "sample_count": problem.count,
     }
@@ -70,6 +73,7 @@ def together_table(fit: TogetherFit) -> str:
     lines += [f"left out: strike {one.index} of {one.recording}: {one.alone.message}" for one in fit.left_out]
     if fit.solution.arrow is None:
         return "\n".join(lines)
+    lines.append(f"noise: {_noise_in_words(fit)}")
     for name, one in _intervals(
         fit.solution.problem.shared, fit.solution.shared, fit.shared_covariance, fit.quantile
     ).items():
@@ -88,6 +92,20 @@ def together_table(fit: TogetherFit) -> str:
         lines.append(f"{strike.recording:24} {strike.seconds:10.4f}  {own}")
     lines.append(between_table(fit.between))
     return "\n".join(lines)
+
+
+def _noise_in_words(fit: TogetherFit) -> str:
+    """What the noise of all strikes is taken for, and which values that gives."""
+    parameters = fit.noisy.parameters
+    if fit.noisy.model == "white":
+        return f"white, {parameters['noise_std']:.3g} rad/s"
+    if fit.noisy.model == "oscillator":
+        found = [f"{value:.1f} Hz" for name, value in parameters.items() if name.endswith("_frequency")]
+        return (
+            f"white with an oscillation of {' and '.join(found)}" if found else "white, no oscillation found"
+        )
+    values = "values of least squares" if fit.noisy.least_squares else "values that are best under it"
+    return f"autoregressive: neighbouring residuals are alike; {values}, intervals with what it does to them"
 
 
 def between_table(between: dict[str, RandomEffects]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from tms_fit.least_squares.noise.white import White
 from tms_fit.least_squares.prediction import derivative
 from tms_fit.least_squares.projection import Problem, Rows, Solution, solve
 from tms_fit.settings import shaping
+from tms_fit.window import Window
 
 ROUNDS = 60  # at most
 FINEST = 1e-4  # largest residual, per largest rate, below which it is no noise: gyroscopes measure no better
@@ -155,8 +156,9 @@ def _with_covariance(
 
 def _averaged(problem: Problem, solution: Solution, noise: Coloured, residual: Array) -> Solution:
     """Parameters and covariance averaged over what coloured noise may be."""
-    priors = solution.jacobian[len(noise.rows(residual)) :]
-    shift, covariance = noise.average(residual, solution.channels, priors.T @ priors)
+    count = len(noise.rows(residual))  # the priors' rows come last
+    prior = solution.jacobian[count:], solution.rows[count:]
+    shift, covariance = noise.average(residual, solution.channels, prior)
     return replace(solution, values=solution.values + shift, covariance=covariance)
 
 
@@ -179,11 +181,21 @@ def _likelier(
 
 def _fitted(problem: Problem, solution: Solution) -> Array:
     """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
-    if not problem.window.delay_std or "strike_time" in {*problem.names, *problem.known}:
-        return solution.channels
     values = problem.values(solution.values)
-    by_start = derivative(problem.window, shaping(values), "strike_time").predict(values)
-    return np.concatenate([solution.channels, by_start[:, :, None]], axis=2)
+    start = by_start(problem.window, values, values)
+    return (
+        solution.channels if start is None else np.concatenate([solution.channels, start[:, :, None]], axis=2)
+    )
+
+
+def by_start(window: Window, told: Collection[str], values: Mapping[str, float]) -> Array | None:
+    """Change (n, 2) of the prediction by a start that was found beforehand; None where it wasn't.
+
+    told: names of what is free or fixed; values of all parameters.
+    """
+    if not window.delay_std or "strike_time" in told:
+        return None
+    return derivative(window, shaping(values), "strike_time").predict(values)
 
 
 def _same(before: Solution, after: Solution) -> bool:

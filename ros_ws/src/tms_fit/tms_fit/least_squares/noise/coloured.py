@@ -47,12 +47,13 @@ class Coloured:
             white[self.good[:, c], c] = noise.innovations(residual[self.good[:, c], c])
         return white
 
-    def average(self, residual: Array, jacobian: Array, information: Array) -> tuple[Array, Array]:
+    def average(self, residual: Array, jacobian: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
         """Mean change (p,) of the parameters and their covariance (p, p) over what the noise may be.
 
-        residual (n, 2) and jacobian (n, 2, p) at the solution; information (p, p): what priors add.
+        residual (n, 2) and jacobian (n, 2, p) at the solution; prior: rows (k, p) that priors add, and
+        how far (k,) the solution is from them.
         """
-        found = posterior(self.families, self.good, residual, jacobian, information)
+        found = posterior(self.families, self.good, residual, jacobian, prior)
         return found.shift, found.covariance
 
 

@@ -72,6 +72,13 @@ def candidates(times: Sequence[Array], residuals: Sequence[Array], stated: Seque
     return _grid(wider) if likely[best] > least else WHITE
 
 
+def with_weight(found: Array, times: Sequence[Array], residuals: Sequence[Array], fall: float) -> Array:
+    """Those of some candidates (g, 3) whose log-likelihood is no more than `fall` below the likeliest's."""
+    logs = _log_likelihoods(found, times, residuals)
+    kept: Array = found[logs >= logs.max() - fall]
+    return kept
+
+
 def families(time: Array, good: NDArray[np.bool_], found: Mapping[int, Array]) -> dict[int, Oscillations]:
     """The candidates of each channel at the samples of a run: times (n,), measured (n, 2)."""
     return {c: _family(time[good[:, c]], one) for c, one in found.items() if good[:, c].sum() > 2}

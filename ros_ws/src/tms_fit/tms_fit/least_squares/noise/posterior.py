@@ -71,14 +71,14 @@ def posterior(
     good: NDArray[np.bool_],
     residual: Array,
     jacobian: Array,
-    information: Array | None = None,
+    held: tuple[Array, Array] | None = None,
 ) -> Posterior:
     """Weights of all combinations by restricted likelihood.
 
-    residual (n, 2) and jacobian (n, 2, p) at the solution, good (n, 2) what was measured; information (p, p):
-    what priors add.
+    residual (n, 2) and jacobian (n, 2, p) at the solution, good (n, 2) what was measured; held: rows (k, p)
+    that priors add, and how far (k,) the solution is from them.
     """
-    back = _orthogonal(np.concatenate([jacobian[good[:, c], c] for c in families]))
+    back = orthogonal(np.concatenate([jacobian[good[:, c], c] for c in families]))
     values = np.concatenate([jacobian @ back, residual[:, :, None]], axis=2)
     products = [family.products(values[good[:, c], c]) for c, family in families.items()]
     prior = [-0.5 * family.log_determinants for family in families.values()]
@@ -89,12 +89,14 @@ def posterior(
     if len(families) == 2:
         grams = grams + products[1][None, :, None] * np.exp(-2.0 * ratios)[None, None, :, None, None]
         logs = logs + prior[1][None, :, None] - counts[1] * ratios
-    known = np.zeros((back.shape[1],) * 2) if information is None else back.T @ information @ back
+    rows, off = (np.zeros((0, len(back))), np.zeros(0)) if held is None else held
+    extra = np.concatenate([rows @ back, off[:, None]], axis=1)
+    known = extra.T @ extra
     found = _average(grams, logs, ratios, sum(counts), known)
     return Posterior(found.best, found.stds, back @ found.shift, back @ found.covariance @ back.T)
 
 
-def _orthogonal(jacobian: Array) -> Array:
+def orthogonal(jacobian: Array) -> Array:
     """Matrix (p, k) that makes derivatives (m, p) orthonormal columns (m, k).
 
     In that basis normal equations don't cost half of the digits; a direction that nothing tells is left out.
@@ -107,16 +109,19 @@ def _orthogonal(jacobian: Array) -> Array:
     return basis
 
 
-def _average(grams: Array, logs: Array, ratios: Array, count: int, information: Array) -> Posterior:
-    """Posterior by products of whitened values (g, h, r, p + 1, p + 1), the residual's last."""
+def _average(grams: Array, logs: Array, ratios: Array, count: int, known: Array) -> Posterior:
+    """Posterior by products of whitened values (g, h, r, p + 1, p + 1), the residual's last.
+
+    known (p + 1, p + 1): the same of the priors' rows.
+    """
     size = grams.shape[-1] - 1
+    rough = float(grams[..., size, size].min()) / count  # a variance, by which priors are weighed
+    grams = grams + rough * known
     scale = np.sqrt(np.diagonal(grams, axis1=-2, axis2=-1).max(axis=(0, 1, 2))[:size])
     scale[scale == 0.0] = 1.0
     normal = grams[..., :size, :size] / np.outer(scale, scale)
     degrees = count - size
     whole = grams[..., size, size]
-    rough = float(whole.min()) / count  # a variance, by which priors are weighed
-    normal = normal + rough * information / np.outer(scale, scale)
     normal = normal + CANCELLED * np.eye(
         size
     )  # a direction that only a channel of no weight tells stays finite
