@@ -37,6 +37,8 @@ class Window:
     speed: SpeedCurve
     steer_torque: Array | None = None  # (n,) [N m] known input, each value held until the next sample
     lean_rate_gain: float = 0.0  # [N m s/rad] lean-rate feedback on the steer torque, 0: none
+    lean_rate_gain_std: float = 0.0  # of the gain, where it was found from the torque and the lean rate
+    gain_by_lean_rate: Array | None = None  # (n,) its derivative by each lean rate, where it was found so
     torque_r2: float = float("nan")  # share of the known torque proportional to the lean rate, NaN: no torque
     delay: float = 0.0  # [s]
     delay_std: float = 0.0  # [s]
@@ -78,17 +80,20 @@ def make_window(
     time = (time_ns - time_ns[0]) / 1e9
     lean_rate = angular_velocity[:, 0]
     lean_rate, yaw_rate = lean_and_yaw_rate(angular_velocity, _integral(time, np.nan_to_num(lean_rate)))
-    gain, r2 = 0.0, float("nan")
+    torque = steer_torque
+    gain, r2, by_rate = 0.0, float("nan"), np.zeros(len(time))
     if steer_torque is not None and settings.steer_torque != "ignore":
-        gain, r2 = _feedback(steer_torque, lean_rate)
+        gain, r2, by_rate = _feedback(steer_torque, lean_rate)
         if settings.steer_torque == "feedback" or (settings.steer_torque == "auto" and r2 >= FEEDBACK_R2):
             steer_torque = None
         else:
-            gain = 0.0
+            gain, by_rate = 0.0, np.zeros(len(time))
     else:
         steer_torque = None
     if "lean_rate_gain" in settings.fixed or "lean_rate_gain" in (settings.free or ()):
         gain, steer_torque = settings.fixed.get("lean_rate_gain", gain), None
+        by_rate = np.zeros(len(time))
+    gain_std = float(np.linalg.norm(by_rate)) * _spread(torque, lean_rate, gain)
     return Window(
         first_ns=int(time_ns[0]),
         time=time,
@@ -98,6 +103,8 @@ def make_window(
         speed=speed,
         steer_torque=steer_torque,
         lean_rate_gain=gain,
+        lean_rate_gain_std=gain_std,
+        gain_by_lean_rate=by_rate if gain_std else None,
         torque_r2=r2,
         resistance=settings.resistance,
         saturated=_saturated(angular_velocity, flagged, settings),
@@ -145,17 +152,25 @@ def _integral(time: Array, values: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
 
 
-def _feedback(torque: Array, lean_rate: Array) -> tuple[float, float]:
-    """Slope [N m s/rad] of torque over lean rate, and the share of the torque that it explains.
+def _feedback(torque: Array, lean_rate: Array) -> tuple[float, float, Array]:
+    """Slope [N m s/rad] of torque over lean rate, the share of the torque that it explains, and its change.
 
     The slope is taken along the torque of one sample earlier (an instrumental variable). A slope along the
     lean rate itself would come out too small, by the share of noise in its variance, where the torque does
-    not carry that noise.
+    not carry that noise. Its change (n,) is its derivative by each lean rate.
     """
-    good = np.isfinite(torque) & np.isfinite(lean_rate)
+    good = np.flatnonzero(np.isfinite(torque) & np.isfinite(lean_rate))
     t, y = torque[good], lean_rate[good]
-    along = y[1:] @ t[:-1] if len(t) > 1 else 0.0
+    along, change = y[1:] @ t[:-1] if len(t) > 1 else 0.0, np.zeros(len(torque))
     if not along:
-        return 0.0, float("nan")
+        return 0.0, float("nan"), change
     gain = float(t[1:] @ t[:-1] / along)
-    return gain, 1.0 - float(np.sum((t - gain * y) ** 2) / np.sum(t**2))
+    change[good[1:]] = -gain * t[:-1] / along
+    return gain, 1.0 - float(np.sum((t - gain * y) ** 2) / np.sum(t**2)), change
+
+
+def _spread(torque: Array | None, lean_rate: Array, gain: float) -> float:
+    """Deviation [rad/s] of the lean rate from the torque over the gain."""
+    if torque is None or not gain:
+        return 0.0
+    return float(np.sqrt(np.nanmean((lean_rate - torque / gain) ** 2)))

@@ -133,7 +133,7 @@ def _constant_speed(window: Window, settings: FitSettings, narrow: Estimate) -> 
     return _wald(
         "constant speed",
         "rolling_resistance",
-        0.0,
+        (0.0, 0.0),
         fit_window(steady, at_constant),
         fit_window(steady, wider),
         lambda value, std: f"decelerating with C_r = {value:.4f} +- {std:.4f}",
@@ -187,7 +187,7 @@ def _no_feedback(window: Window, settings: FitSettings, narrow: Estimate) -> Ver
         "lean_rate_gain",
         (window, settings, narrow),
         lambda value, std: f"a gain of {value:.4g} +- {std:.2g} N m s/rad",
-        window.lean_rate_gain,
+        (window.lean_rate_gain, window.lean_rate_gain_std),
     )
 
 
@@ -196,8 +196,9 @@ def _freed(
     name: str,
     given: tuple[Window, FitSettings, Estimate],
     words: Callable[[float, float], str],
-    assumed: float = 0.0,
+    assumed: tuple[float, float] = (0.0, 0.0),
 ) -> Verdict | None:
+    """A verdict on a parameter that the wider model frees; assumed: what the hypothesis says, to how much."""
     window, settings, narrow = given
     if name in {*narrow.names, *settings.fixed}:
         return None
@@ -212,7 +213,7 @@ def _widened(settings: FitSettings, narrow: Estimate, name: str) -> FitSettings:
 def _wald(
     hypothesis: str,
     name: str,
-    assumed: float,
+    assumed: tuple[float, float],
     narrow: Estimate,
     wide: Estimate,
     words: Callable[[float, float], str],
@@ -220,10 +221,11 @@ def _wald(
     if wide.status != "ok":
         nan = float("nan")
         text = f"{hypothesis}: the data can't tell ({wide.message})"
-        return Verdict(hypothesis, name, nan, nan, assumed, nan, nan, nan, nan, text)
+        return Verdict(hypothesis, name, nan, nan, assumed[0], nan, nan, nan, nan, text)
     value, std = wide.parameters[name], float(wide.std[wide.names.index(name)])
     differences = wide.aic - narrow.aic, wide.bic - narrow.bic
-    return _verdict(hypothesis, (name, value, std, assumed), wide, differences, words(value, std))
+    found = (name, value, math.hypot(std, assumed[1]), assumed[0])
+    return _verdict(hypothesis, found, wide, differences, words(value, std))
 
 
 def _lifted(wide: Estimate, statistic: float) -> tuple[float, float]:

@@ -39,7 +39,8 @@ def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> 
         text = "the solution lost its precision; free fewer parameters"
         return Estimate(name, "not_converged", text, settings=settings)
     window = problem.window
-    covariance = covariance + nuisance_covariance(problem, solution, noise.rows)
+    white = noise.std if isinstance(noise, White) else 0.0
+    covariance = covariance + nuisance_covariance(problem, solution, noise.rows, white)
     predicted = problem.predicted(solution.values)
     residual = window.measured - predicted
     innovations = noise.innovations(residual)

@@ -1,8 +1,9 @@
 """What is known but not exactly: how its uncertainty widens the covariance, to first order.
 
-The instant of the strike between two samples, and the speed as a sensor measured it, are taken as known for a
-fit. With D the change of the prediction by such a quantity, the solution moves by -(J'J)^-1 J'D, and by what
-the columns themselves change.
+The instant of the strike between two samples, the speed as a sensor measured it, and the gain of a feedback
+as a recorded torque shows it, are taken as known for a fit. With D the change of the prediction by such a
+quantity, the solution moves by -(J'J)^-1 J'D, and by what the columns themselves change. The gain is found
+from the same samples, so that its error and that of the solution go together.
 """
 
 from __future__ import annotations
@@ -22,14 +23,24 @@ from tms_fit.window import Window
 CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]
 
 
-def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows) -> Array:
-    """What uncertain known quantities add to the covariance (p, p) of a solution."""
+def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows, white: float = 0.0) -> Array:
+    """What uncertain known quantities add to the covariance (p, p) of a solution.
+
+    white [rad/s]: deviation of the noise, where it is white; only then is it known how the gain's error goes
+    with the solution's, else the two are added as if they were strangers.
+    """
     added = np.zeros((len(problem.names), len(problem.names)))
     window = problem.window
-    if window.delay_std and "strike_time" not in {*problem.names, *problem.known}:
+    for name, std in (("strike_time", window.delay_std), ("lean_rate_gain", window.lean_rate_gain_std)):
+        if not std or name in {*problem.names, *problem.known}:
+            continue
         nonlinear = _nonlinear(problem, solution)
-        shift = _shift(problem, solution, rows, derivative(window, nonlinear, "strike_time"))
-        added += np.outer(shift, shift) * window.delay_std**2
+        shift = _shift(problem, solution, rows, derivative(window, nonlinear, name))
+        added += np.outer(shift, shift) * std**2
+        if name == "lean_rate_gain" and white and window.gain_by_lean_rate is not None:
+            along = rows(np.stack([window.gain_by_lean_rate, np.zeros(len(window.time))], axis=1))
+            shared = white**2 * solution.of_rows @ solution.jacobian[: len(along)].T @ along
+            added += np.outer(shift, shared) + np.outer(shared, shift)
     changes = list(_by_curve(problem, solution))
     if changes:
         powers, models = zip(*changes, strict=True)
