@@ -1,8 +1,8 @@
 """How well strikes are found: simulated runs by the hundred, whose true strikes are known.
 
 A strike counts as found when one of those found lies within 0.3 s of the end of its impulse; what is found
-elsewhere is false. The bound is that of Cramer and Rao for the end of an impulse of unknown size and hardly
-known length, in white noise, the bicycle known.
+elsewhere is false. The bounds are those of Cramer and Rao for the end of an impulse of unknown size, its
+length hardly or not at all known, in white noise on both rates, the bicycle known.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ DENSITY = 0.002  # [rad/s/sqrt(Hz)] of the gyroscope's noise, as of the grade pi
 RIDE = 600.0  # [s] on a treadmill
 KICK = 0.05  # [rad/s] by which a joint of the belt changes the lean rate
 LENGTH = 0.02  # [s], standard deviation of what is known beforehand of an impulse's length
-FINE = 2.5e-4  # [s] of the grid that a force is told on
+FINE = 1e-3  # [s] of the grid that a response is told on
+CELLS = 20  # parts of an impulse
+UNTOLD = 0.1  # [s]; a larger bound says that no sample within the impulse tells its length
+PHASES = 8  # places between two samples
 SHIMMY = 0.05  # [rad/s] of the lean rate on the treadmill
 
 
@@ -57,6 +60,7 @@ class Score:
     errors: Array  # (found,) [s] of the impulses' ends
     off: Array  # (k,) of the initial lean rate from the true one at the start found, as a share of it
     bound: float = math.nan  # [s] standard deviation of the end, at least; NaN: not asked for
+    bound_unknown: float = math.nan  # [s] the same if nothing is known of the length beforehand
 
     @property
     def close(self) -> float:
@@ -126,7 +130,7 @@ def judge(case: Case, rng: np.random.Generator, runs: int) -> Score:
             errors.append(float(starts[near] - end))
             off.extend(_off(run, fits[near], offset) if case.by_hand else [])
         found, false = found + len(taken), false + len(fits) - len(taken)
-    return Score(case.topic, runs, strikes, found, false, np.array(errors), np.array(off), _bound(case))
+    return Score(case.topic, runs, strikes, found, false, np.array(errors), np.array(off), *_bounds(case))
 
 
 def _run(case: Case, rng: np.random.Generator) -> SimulatedRun:
@@ -163,44 +167,81 @@ def _off(run: SimulatedRun, fit: StrikeFit, offset: float) -> list[float]:
     return [(estimate.parameters["initial_lean_rate"] - truth) / truth]
 
 
-def _bound(case: Case) -> float:
-    """Cramer-Rao bound [s] of the end of an impulse in a run of `tms_strike`; NaN for other cases."""
+def _bounds(case: Case) -> tuple[float, float]:
+    """Bounds [s] of the end of an impulse, its length hardly and not at all known; NaN: not asked for."""
     if "imu.rate" not in case.changes or len(case.changes) > 4:
-        return math.nan
+        return math.nan, math.nan
     change, duration, rate = (
         float(case.changes[f]) for f in ("strike.lean_rate", "strike.duration", "imu.rate")
     )
-    return end_bound(linear_system(load_bicycle("tms_eq_10_1"), 3.6), change, duration, rate)
+    system = linear_system(load_bicycle("tms_eq_10_1"), 3.6)
+    hardly, unknown = (end_bound(system, change, duration, rate, length) for length in (LENGTH, math.inf))
+    return hardly, unknown if unknown < UNTOLD else math.nan
 
 
-def end_bound(system: LinearSystem, change: float, duration: float, rate: float) -> float:
-    """Cramer-Rao bound [s] of the end of an impulse [rad/s, s] in the lean rate, sampled at `rate` [Hz].
+def end_bound(
+    system: LinearSystem, change: float, duration: float, rate: float, length: float = LENGTH
+) -> float:
+    """Cramer-Rao bound [s] of the end of an impulse [rad/s, s] in both rates, sampled at `rate` [Hz].
 
-    Unknown: end, size, length but for `LENGTH`, initial lean, steer and lean rate, bias. Noise of `DENSITY`.
+    Unknown: end, size, initial state, biases, and the length, but for a standard deviation `length` [s] that
+    is known beforehand. Noise of `DENSITY`. The median over where between two samples the impulse ends.
     """
+    after = after_a_change(system)
+    phases = (np.arange(PHASES) + 0.5) / PHASES / rate
+    return float(np.median([_bound_at(system, after, change, duration, rate, length, e) for e in phases]))
+
+
+def _bound_at(
+    system: LinearSystem, after: Array, change: float, duration: float, rate: float, length: float, end: float
+) -> float:
     time = np.arange(-1.0, 1.5, 1.0 / rate)
-    step = 1e-4
-    base = (0.0, duration, change)
-    moved = [tuple(v + step * (k == j) for j, v in enumerate(base)) for k in range(3)]
-    columns = [(pulse(system, time, *one) - pulse(system, time, *base)) / step for one in moved]
-    for k in range(3):
-        columns.append(response(system, np.eye(4)[k], time - time[0])[:, 2])
-    columns.append(np.ones_like(time))
-    matrix = np.stack(columns, axis=1)
+    base, step = (
+        np.array([end, duration, change]),
+        np.array([0.05 * duration, 0.05 * duration, 0.05 * change]),
+    )
+    columns = []
+    for move in np.diag(step):
+        both = [pulse(after, time, *(base + sign * move)) for sign in (1.0, -1.0)]
+        columns.append((both[0] - both[1]) / (2.0 * move.sum()))
+    moving = response(system, np.eye(4), time - time[0])
+    columns.extend(rates_of(system, moving[:, :, k]) for k in range(4))
+    columns.extend(np.broadcast_to(bias, (len(time), 2)) for bias in np.eye(2))
+    matrix = np.stack([column.ravel() for column in columns], axis=1)
     information = matrix.T @ matrix / (DENSITY**2 * rate)
-    information[1, 1] += 1.0 / LENGTH**2
-    return float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    information[1, 1] += 1.0 / length**2
+    size = np.sqrt(np.diag(information))
+    inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True, rcond=1e-13)
+    return float(np.sqrt(inverse[0, 0])) / float(size[0])
 
 
-def pulse(system: LinearSystem, time: Array, end: float, duration: float, change: float) -> Array:
-    """Lean rate (n,) under half a sine of force that ends at `end` and would change it by `change`."""
-    fine = np.arange(time[0], time[-1] + FINE, FINE)
-    inside = (fine > end - duration) & (fine < end)
-    force = np.where(inside, np.sin(math.pi * (fine - end + duration) / duration), 0.0)
-    force *= change * math.pi / (2.0 * duration)
-    after = response(system, np.array([0.0, 0.0, 1.0, 0.0]), fine - fine[0])[:, 2]
-    moved = np.convolve(force, after)[: len(fine)] * FINE
-    return np.asarray(np.interp(time, fine, moved), dtype=np.float64)
+def rates_of(system: LinearSystem, states: Array) -> Array:
+    """Lean rate and yaw rate (n, 2) of states (n, 4)."""
+    return np.stack([states[:, 2], states @ system.yaw], axis=1)
+
+
+def after_a_change(system: LinearSystem) -> Array:
+    """Both rates (m, 2) after a unit change of the lean rate, each `FINE`."""
+    fine = np.arange(round(2.6 / FINE), dtype=np.float64) * FINE
+    return rates_of(system, response(system, np.array([0.0, 0.0, 1.0, 0.0]), fine))
+
+
+def pulse(after: Array, time: Array, end: float, duration: float, change: float) -> Array:
+    """Both rates (n, 2) under half a sine of force that ends at `end` and would bring the lean rate `change`.
+
+    after (m, 2): what follows a unit change, each `FINE`. Its step is taken exactly, the rest in `CELLS`
+    parts.
+    """
+    fine = np.arange(len(after)) * FINE
+    edges = np.linspace(0.0, 1.0, CELLS + 1)
+    shares = np.diff(0.5 * (1.0 - np.cos(np.pi * edges)))
+    inside = np.clip((time - end) / duration + 1.0, 0.0, 1.0)
+    moved = 0.5 * (1.0 - np.cos(np.pi * inside))[:, None] * after[0]
+    for share, edge in zip(shares, edges, strict=False):
+        since = time - end + duration * (1.0 - edge - 0.5 / CELLS)
+        rest = [np.interp(since, fine, one - one[0], left=0.0) for one in after.T]
+        moved = moved + share * np.stack(rest, axis=1)
+    return np.asarray(change * moved)
 
 
 def false_on_a_treadmill(rng: np.random.Generator, speed: float, rate: float = 100.0) -> int:

@@ -59,6 +59,7 @@ def _score(one: Score) -> dict[str, Any]:
         "median_error": _number(float(np.median(sizes)) if len(sizes) else math.nan),
         "largest_error": _number(float(sizes.max()) if len(sizes) else math.nan),
         "end_bound": _number(one.bound),
+        "end_bound_length_unknown": _number(one.bound_unknown),
         "initial_lean_rate_off": _number(float(np.median(one.off)) if len(one.off) else math.nan),
     }
 
@@ -69,11 +70,9 @@ def _number(value: float) -> float | None:
 
 def scores_text(scores: list[Score]) -> str:
     """The table, Markdown that reads well on a terminal."""
-    lines = [
-        f"| {'case':46} | strikes | missed | false | within 10 ms | median | largest | bound |"
-        " lean rate off |",
-        f"|{'-' * 48}|---------|--------|-------|--------------|--------|---------|-------|---------------|",
-    ]
+    heads = [f"{'case':46}", "strikes", "missed", "false", "within 10 ms", "median", "largest", "bound"]
+    heads += ["length unknown", "lean rate off"]
+    lines = [f"| {' | '.join(heads)} |", f"|{'|'.join('-' * (len(head) + 2) for head in heads)}|"]
     for one in (_score(score) for score in scores):
         cells = [
             f"{one['strikes']:7}",
@@ -83,6 +82,7 @@ def scores_text(scores: list[Score]) -> str:
             _in(one["median_error"], 6, 1e3, " ms"),
             _in(one["largest_error"], 7, 1e3, " ms"),
             _in(one["end_bound"], 5, 1e3, " ms"),
+            _in(one["end_bound_length_unknown"], 14, 1e3, " ms"),
             _in(one["initial_lean_rate_off"], 13, 100.0, " %"),
         ]
         lines.append(f"| {one['case']:46} | {' | '.join(cells)} |")

@@ -21,16 +21,19 @@ from tms_fit.running.alignment import PATIENCE, Alignment, Sample
 from tms_fit.running.gyroscopes import Gyroscopes, Vector
 from tms_fit.settings import INITIAL, FitSettings
 from tms_fit.strike_fit import Stretch, StrikeFit, fit_strike, stretch_of, window_of
+from tms_fit.strikes.dating import AFTER, BEFORE, dated, surely_struck
 from tms_fit.strikes.detector import StrikeDetector
 from tms_fit.strikes.ending import STAND, Ending, find_ending
 from tms_fit.strikes.given import GivenStrikes
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
+from tms_fit.window import Window
 
 __all__ = ["PATIENCE", "OnlineFit", "StrikeFit"]
 
 MEMORY = 10 * NANOSECONDS  # [ns], how long after a strike its free response is told from a new strike
 LOOK_BACK = NANOSECONDS  # [ns], the motion from which a change is predicted when no strike began it
 LEAST_HISTORY = 3 * NANOSECONDS // 10  # [ns], at a recording's start, before a change can be judged
+PUSHED_ON = NANOSECONDS // 10  # [ns] for which a hand pushes on beyond the peak
 SAME = NANOSECONDS // 20  # [ns]; what ends a motion up to this long after a change is that change
 EXPLAINED = 0.5  # share of a change that the motion before must predict to be its cause; at most its inverse
 SWINGING: tuple[str, ...] = (
@@ -68,7 +71,9 @@ class OnlineFit:
         self._nominal_speed = stated if math.isfinite(stated) else nominal_speed
         self._filter = _filter(bicycle, settings) if running_filter else None
         self._gyroscopes = Gyroscopes(imu_orientation, settings.gyroscope_range)
-        self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
+        self._detector = (
+            GivenStrikes(strike_times) if strike_times else StrikeDetector(asked=self._surely_struck)
+        )
         self._aligned = Alignment(self._gyroscopes, reorder_window, settings.fixed.get("speed"))
         self._longest_ns = round((settings.window + self._detector.latency) * NANOSECONDS)
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
@@ -164,6 +169,8 @@ class OnlineFit:
         if strike is not None and strike.kind != "given" and (why := self._is_no_strike(strike)):
             self._detector.withdraw(why)
             strike = None
+        if strike is not None and strike.kind != "given":
+            strike = self._dated(strike)
         if strike is not None:
             self._strikes.append(strike)
             self._onsets.append(strike.onset_ns)
@@ -218,6 +225,31 @@ class OnlineFit:
             return "the bicycle's own motion, as the model continues what came before"
         return ""
 
+    def _dated(self, strike: Strike) -> Strike | None:
+        """The strike as bicycle and yaw rate tell it; None where they tell of none."""
+        window = self._around(strike)
+        found = strike if window is None else dated(strike, window, self._detector.least_change)
+        if isinstance(found, Strike):
+            return found
+        self._detector.withdraw(found)
+        return None
+
+    def _surely_struck(self, strike: Strike) -> bool:
+        """Whether the lean itself was struck or pushed, which the lean rate alone can't tell."""
+        window = self._around(strike)
+        return window is not None and surely_struck(strike, window, self._detector.least_change)
+
+    def _around(self, strike: Strike) -> Window | None:
+        """The motion around a strike since the last one, as far as is known; None without a speed."""
+        since = strike.onset_ns - BEFORE
+        if self._latest is not None:
+            since = max(since, self._latest.time_ns + (PUSHED_ON if self._latest.kind == "push" else 0))
+        samples = self._between(min(since, strike.before_ns), strike.time_ns + AFTER)
+        try:
+            return window_of(self._stretch_of(samples), self.bicycle, self._settings)
+        except ParameterError:
+            return None
+
     def _caught(self, strike: Strike) -> str:
         """How a change comes from the end of the free motion, as far as is known now; or an empty text."""
         since = strike.onset_ns - LOOK_BACK
@@ -235,7 +267,7 @@ class OnlineFit:
             assumed = (*INITIAL, "lean_rate_bias")
         samples = self._between(since, strike.time_ns)
         if last is None and not strike.sharp and strike.onset_ns < samples[0].time_ns + LEAST_HISTORY:
-            return True  # a recording that begins in mid-swing looks like this
+            return not self._surely_struck(strike)  # a recording that begins in mid-swing looks like this
         try:
             window = window_of(self._stretch_of(samples), self.bicycle, self._settings)
         except ParameterError:

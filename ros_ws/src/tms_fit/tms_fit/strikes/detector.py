@@ -23,10 +23,19 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
-from tms_fit.strikes.judgement import LEAST_SAMPLES, MEAN, Stretch, judge_kink, judge_swing
+from tms_fit.strikes.judgement import (
+    LEAST_SAMPLES,
+    MEAN,
+    SWING_BACK,
+    Stretch,
+    judge_kink,
+    judge_swing,
+    too_soon,
+)
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
 
 LONGEST_GAP = 0.15  # [s] without samples; across a longer one no change is known to be sudden
@@ -38,7 +47,11 @@ MANY_TIMES = 6.0  # the noise: less is no change
 class StrikeDetector:
     """Finds strikes in a stream of lean rates. Same samples, same strikes, whoever feeds them."""
 
-    def __init__(self, settings: StrikeSettings | None = None) -> None:
+    def __init__(
+        self, settings: StrikeSettings | None = None, asked: Callable[[Strike], bool] | None = None
+    ) -> None:
+        """Asked: who knows the bicycle, whether a push soon after a strike is more than its swing back."""
+        self._asked = asked
         self._settings = settings or StrikeSettings()
         self._raw: deque[tuple[int, float]] = deque()  # samples [ns], [rad/s]
         self._bin: list[tuple[int, float]] = []  # samples of the bin that is open
@@ -57,6 +70,11 @@ class StrikeDetector:
     def latency(self) -> float:
         """Seconds after the start of a free response until it is reported, at most."""
         return 2.0 * self._settings.rise
+
+    @property
+    def least_change(self) -> float:
+        """Change of the lean rate [rad/s] that a strike makes at least."""
+        return self._settings.least_change
 
     def push(self, time_ns: int, lean_rate: float) -> Strike | None:
         """Take one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
@@ -183,12 +201,18 @@ class StrikeDetector:
         strike: Strike | Rejected | None = judge_kink(stretch, *kinked, self._settings) if kinked else None
         if strike is None and swung:
             strike = judge_swing(stretch, *swung, self._settings)
+            if isinstance(strike, Strike) and self._swings_back(strike):
+                strike = Rejected(strike.time_ns, strike.change, SWING_BACK)
         if isinstance(strike, Rejected):
             self.rejected.append(strike)
             return None
         if strike is not None:
             self._last.append(strike)
         return strike
+
+    def _swings_back(self, strike: Strike) -> bool:
+        last = self._last[-1] if self._last else None
+        return too_soon(last, strike, self._settings) and not (self._asked and self._asked(strike))
 
     def _stretch(self) -> Stretch:
         first = self._first_kept()

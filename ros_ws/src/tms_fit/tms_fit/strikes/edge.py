@@ -49,7 +49,7 @@ def fit_edge(time: Array, rate: Array) -> Edge | None:
 
     time, rate: (n,) ascending [s], [rad/s].
     """
-    time, rate = _thinned(time, rate)
+    time, rate = thinned(time, rate)
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     near, half, reach = -max(BACK, spacing), max(HALF, 7.0 * spacing), max(REACH, 1.5 * spacing)
     used = (time >= near - half) & (time <= near + half)
@@ -67,7 +67,7 @@ def fit_edge(time: Array, rate: Array) -> Edge | None:
     weight = np.exp(-0.5 * (sums - sums.min()) / variance) / (1.0 + np.array(RISES)[:, None] / SHORT)
     weight /= weight.sum()
     end, change = float((weight * ends).sum()), float((weight * jumps).sum())
-    share, step = _between_samples(x, ends, weight)
+    share, step = between_samples(x, ends, np.array(RISES), weight)
     return Edge(
         end=end,
         end_std=float(np.sqrt((weight * (ends - end) ** 2).sum() + STEP**2 / 12.0)),
@@ -81,17 +81,21 @@ def fit_edge(time: Array, rate: Array) -> Edge | None:
     )
 
 
-def _thinned(time: Array, rate: Array) -> tuple[Array, Array]:
-    """Means of as many neighbours as fit into `FINEST` seconds."""
+def thinned(time: Array, rate: Array) -> tuple[Array, Array]:
+    """Means of as many neighbours as fit into `FINEST` seconds; time (n,), rate (n, ...)."""
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     count = max(1, int(FINEST / spacing + 1e-6))
     whole = len(time) // count * count
-    return time[:whole].reshape(-1, count).mean(axis=1), rate[:whole].reshape(-1, count).mean(axis=1)
+    rates = rate[:whole].reshape(-1, count, *rate.shape[1:])
+    return time[:whole].reshape(-1, count).mean(axis=1), rates.mean(axis=1)
 
 
-def _between_samples(x: Array, ends: Array, weight: Array) -> tuple[float, float]:
-    """Weight of the rises that no sample sees, and the sample before the likeliest place of those."""
-    starts = ends - np.array(RISES)[:, None]
+def between_samples(x: Array, ends: Array, rises: Array, weight: Array) -> tuple[float, float]:
+    """Weight of the rises (r,) that no sample sees, and the sample before the likeliest place of those.
+
+    x (n,) samples; ends, weight (r, m).
+    """
+    starts = ends - rises[:, None]
     before = np.searchsorted(x, starts + 1e-9, side="right") - 1  # last sample at or before the start
     unseen = np.searchsorted(x, ends - 1e-9) == before + 1
     places = np.bincount(np.clip(before[unseen], 0, len(x) - 1), weight[unseen], len(x))

@@ -26,6 +26,11 @@ class GivenStrikes:
         """Seconds after the start of a free response until it is reported, at most."""
         return 0.0
 
+    @property
+    def least_change(self) -> float:
+        """Change of the lean rate [rad/s] that a strike makes at least: any will do."""
+        return 0.0
+
     def push(self, time_ns: int, lean_rate: float) -> Strike | None:
         """Take one sample; return the strike whose free response it begins, if any."""
         before_ns, before = self._recent[-1] if self._recent else (time_ns - 1, math.nan)

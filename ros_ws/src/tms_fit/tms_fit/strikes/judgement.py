@@ -17,6 +17,7 @@ MEAN = 50_000_000  # [ns] of the running mean: one period of a 20 Hz shimmy
 SUDDEN = 0.03  # [s]; a rise as short as this is no part of a push
 OUTLIER = 2.0  # largest step per change of the running mean; one sample among five has 5
 KINKED = 0.43  # largest kink per change; a push of 0.15 s has 0.4 at most, an impulse of 0.08 s 0.45 to 0.6
+SWING_BACK = "the swing back from the last strike: soon after it, and not three times as large"
 BESIDE = 0.025  # [s] before the onset and after the end of a change, whose means tell how large it is
 
 
@@ -110,6 +111,13 @@ def judge_swing(
     )
 
 
+def too_soon(last: Strike | None, strike: Strike, settings: StrikeSettings) -> bool:
+    """Whether a push may be the swing back from the last strike: soon after, and not three times as large."""
+    if last is None or strike.time_ns - last.time_ns >= settings.refractory * NANOSECONDS:
+        return False
+    return abs(strike.change) < 3.0 * abs(last.change)
+
+
 def noise_of(rates: Array) -> float:
     """Standard deviation of white noise, from the median absolute difference of neighbours (n,)."""
     if len(rates) < LEAST_SAMPLES:
@@ -183,20 +191,11 @@ def _refusal(
     # The change is measured from the farthest of many samples: noise alone makes up two deviations.
     if abs(change) - 2.0 * noise < settings.least_change:
         return f"only {abs(change):.3f} rad/s, with noise of {noise:.3f} rad/s"
-    if _too_soon(stretch.last, int(time[start]), change, settings):
-        return "the swing back from the last strike: soon after it, and not three times as large"
     around = (time >= time[base] - MEAN) & (time <= time[start] + MEAN)
     steepest = _steepest(time[around], rate[around], noise)
     if steepest * 0.2 < settings.steepness * abs(change):
         return f"too round: at most {steepest:.2f} rad/s^2 over 0.1 s, {abs(change):.3f} rad/s in all"
     return ""
-
-
-def _too_soon(last: Strike | None, time_ns: int, change: float, settings: StrikeSettings) -> bool:
-    """Whether this is the swing back from the last strike: at most twice as large, and soon after."""
-    if last is None or time_ns - last.time_ns >= settings.refractory * NANOSECONDS:
-        return False
-    return abs(change) < 3.0 * abs(last.change)
 
 
 def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: float) -> int:
