@@ -203,6 +203,12 @@ def speed_covariance_samples(messages: Messages) -> SpeedSamples:
     return SpeedSamples(table.time_ns, _column(table, "twist.twist.linear.x"), variance)
 
 
+def speed_covariance_reading(record: Record) -> tuple[int, float, float]:
+    """Stamp [ns], forward speed and its variance of one message, as `speed_covariance_samples` has them."""
+    time_ns, speed, *covariance = _reading(topics.SPEED_COVARIANCE, FIELDS[topics.SPEED_COVARIANCE], record)
+    return time_ns, speed, covariance[0] if covariance[0] > 0.0 else math.nan
+
+
 def steer_torque_records(samples: SteerTorqueSamples) -> Iterator[Record]:
     """tms_msgs/SteerTorque on /bicycle/steer_torque."""
     table = _table(topics.STEER_TORQUE, samples.time_ns, FRONT_FRAME)

@@ -38,6 +38,11 @@ class Comparison:
     before: Array  # (m, 2) [rad/s] measured just before
 
     @property
+    def start_speed(self) -> float:
+        """Speed [m/s] at the start of the free response, as the estimate has it."""
+        return self.estimate.complete.get("speed", self.used.start_speed)
+
+    @property
     def end(self) -> float:
         """Last time used for the fit [s]."""
         return (self.strike.end_ns - self.strike.start_ns) / 1e9

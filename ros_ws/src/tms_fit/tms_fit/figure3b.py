@@ -59,7 +59,7 @@ def _draw_channel(axes: Axes, both: Comparison, channel: int, source: str) -> No
 def _title(fit: RecordingFit, both: Comparison, number: int) -> str:
     name, estimate = "initial_lean_rate", both.estimate
     text = f"{source_of(fit)} run {fit.recording.path.name}, strike {number}: {fit.bicycle.name}"
-    text += f" at {both.used.start_speed:.2f} m/s"
+    text += f" at {both.start_speed:.2f} m/s"
     if name in estimate.names:
         index = estimate.names.index(name)
         std = float(estimate.std[index])

@@ -55,7 +55,7 @@ def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
     }
     if fit.window is not None:
         diagnostics["start_std"] = fit.window.delay_std
-        diagnostics["speed"] = fit.window.start_speed
+        diagnostics["speed"] = estimate.complete.get("speed", fit.speed)
         diagnostics["lean_rate_gain"] = fit.window.lean_rate_gain
     return message_type(ESTIMATE_TYPE)(
         header=_header(fit.start_ns),

@@ -140,7 +140,7 @@ def feed(online: OnlineFit, recording: Recording, progress: Progress | None = No
         elif kind == 1 and torque is not None:
             online.add_steer_torque(time_ns, float(torque.steer_torque[row]))
         elif speed is not None:
-            online.add_speed(time_ns, float(speed.speed[row]))
+            online.add_speed(time_ns, float(speed.speed[row]), float(speed.variance[row]))
     online.finish()
 
 

@@ -66,7 +66,7 @@ def _strike(
         "lean_rate_change": fit.strike.change,
         "detection": _detection(fit.strike),
         "start_std": window.delay_std if window else None,
-        "speed": window.start_speed if window else None,
+        "speed": fit.speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [
             {**_estimate(one), "criticism": criticism_json(window, one, stated) if window else None}

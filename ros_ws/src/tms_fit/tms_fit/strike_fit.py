@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
+from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
 from tms_fit.criticism.doubt import Doubt, doubt
@@ -33,6 +34,7 @@ class Stretch:
     steer_torque: Array  # (n,) [N m], NaN: unknown
     speed_time_ns: IntArray  # (m,)
     speed: Array  # (m,) [m/s]
+    speed_variance: Array  # (m,) [m^2/s^2], NaN: unknown
     nominal_speed: float  # [m/s], where none was measured; NaN: unknown
     flagged: NDArray[np.bool_] | None = None  # (n, 3), axes that a saturated one of the sensor enters
 
@@ -45,6 +47,7 @@ class Stretch:
             self.steer_torque[rows],
             self.speed_time_ns[speeds],
             self.speed[speeds],
+            self.speed_variance[speeds],
             self.nominal_speed,
             None if self.flagged is None else self.flagged[rows],
         )
@@ -69,6 +72,13 @@ class StrikeFit:
         return self.window.start_ns if self.window else self.strike.time_ns
 
     @property
+    def speed(self) -> float:
+        """Speed [m/s] at the start of the free response, as the first estimate has it; NaN: unknown."""
+        if self.window is None:
+            return float("nan")
+        return self.estimates[0].complete.get("speed", self.window.start_speed)
+
+    @property
     def end_ns(self) -> int:
         """Last sample used."""
         return int(self.stretch.time_ns[-1])
@@ -81,13 +91,14 @@ def stretch_of(
     flagged: NDArray[np.bool_] | None = None,
 ) -> Stretch:
     """Stretch of some samples, one at least, in ascending time; flagged (n, 3): see Stretch."""
-    speed_time_ns, speeds = speed.between(samples[0].time_ns, samples[-1].time_ns)
+    speed_time_ns, speeds, variances = speed.between(samples[0].time_ns, samples[-1].time_ns)
     return Stretch(
         np.array([one.time_ns for one in samples]),
         np.array([one.angular_velocity for one in samples]),
         np.array([one.steer_torque for one in samples]),
         speed_time_ns,
         speeds,
+        variances,
         nominal_speed,
         flagged,
     )
@@ -96,7 +107,7 @@ def stretch_of(
 def window_of(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> Window:
     """Window of a stretch. Raises ParameterError where the speed isn't known."""
     torque = stretch.steer_torque if np.isfinite(stretch.steer_torque).any() else None
-    speed = _speed(stretch, settings)
+    speed = _speed(stretch, bicycle, settings)
     return make_window(
         bicycle, settings, stretch.time_ns, stretch.angular_velocity, speed, torque, stretch.flagged
     )
@@ -144,12 +155,19 @@ def _told(estimates: tuple[Estimate, ...], ending: Ending | None, why: Doubt | N
     return tuple(told)
 
 
-def _speed(stretch: Stretch, settings: FitSettings) -> SpeedCurve:
+def _speed(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> SpeedCurve:
     if "speed" in settings.fixed:
         return constant_speed(settings.fixed["speed"])
     if np.isfinite(stretch.speed).any():
-        times = (stretch.speed_time_ns - stretch.time_ns[0]) / NANOSECONDS
-        return speed_curve(times, stretch.speed, settings.speed_model)
+        first_ns = stretch.time_ns[0]
+        return speed_curve(
+            (stretch.speed_time_ns - first_ns) / NANOSECONDS,
+            stretch.speed,
+            stretch.speed_variance,
+            settings.speed_model,
+            float(stretch.time_ns[-1] - first_ns) / NANOSECONDS,
+            coasting_loss(bicycle),
+        )
     if not np.isfinite(stretch.nominal_speed):
         raise ParameterError(
             "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"

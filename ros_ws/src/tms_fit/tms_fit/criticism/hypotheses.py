@@ -123,16 +123,17 @@ def _white_squares(window: Window, narrow: Estimate, late: Window, rest: Estimat
 
 def _constant_speed(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
     """Whether the rates alone, and nothing of a speed sensor, show that the speed falls."""
-    if {"rolling_resistance"} & {*narrow.names, *settings.fixed}:
+    name = "rolling_resistance"
+    if name in settings.fixed or (name in narrow.names and not window.speed.extrapolated):
         return None
     steady = replace(window, speed=constant_speed(window.start_speed, window.speed.std))
-    free = tuple(dict.fromkeys((*narrow.names, "speed")))
+    free = tuple(dict.fromkeys((*(one for one in narrow.names if one != name), "speed")))
     fixed = {name: value for name, value in settings.fixed.items() if name != "speed"}
     at_constant = replace(settings, free=free, fixed=fixed, priors={}, speed_model="constant")
-    wider = replace(at_constant, free=(*free, "rolling_resistance"))
+    wider = replace(at_constant, free=(*free, name))
     return _wald(
         "constant speed",
-        "rolling_resistance",
+        name,
         (0.0, 0.0),
         fit_window(steady, at_constant),
         fit_window(steady, wider),

@@ -46,10 +46,12 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
     )
     choice = replace(choose(window, settings), words=decided.words, reasons=decided.reasons)
     rubbing = FRICTION in {*choice.free, *settings.fixed}
-    if not choice.problem.linear or choice.problem.priors or SLIP in choice.free or rubbing:
+    linear = choice.problem.linear
+    if not linear or {*choice.problem.priors} & {*linear} or SLIP in choice.free or rubbing:
         return replace(
             fit_choice("kalman_rts", choice, settings),
-            message="priors, slip, friction, or no linear parameter: least squares instead of a smoother",
+            message="priors on what is linear, slip, friction, or nothing linear: least squares instead of a"
+            " smoother",
         )
     squares = fit_choice("kalman_rts", choice, settings)
     if squares.status != "ok":

@@ -14,8 +14,16 @@ import numpy as np
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.alternation import fit_problem
 from tms_fit.least_squares.answer import answer, in_order, too_short
-from tms_fit.least_squares.choices import Choice, choose, decelerating, unsteady
+from tms_fit.least_squares.choices import (
+    Choice,
+    at_found,
+    choose,
+    decelerating,
+    unsteady,
+    without_resistance,
+)
 from tms_fit.least_squares.losses import Loss
+from tms_fit.least_squares.noise.autoregressive import remembers
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
 
@@ -37,6 +45,8 @@ def fit_window(window: Window, settings: FitSettings) -> Estimate:
 def decide(window: Window, settings: FitSettings) -> tuple[Choice, Estimate]:
     """What is to be found, where `settings` leave it open, and the estimate of it."""
     choice = choose(window, settings)
+    if choice.coasting:
+        return _coasting(choice, settings)
     estimate = fit_choice("least_squares", choice, settings)
     falling = decelerating(choice, settings)
     if falling is not None and estimate.status == "ok":
@@ -46,6 +56,32 @@ def decide(window: Window, settings: FitSettings) -> tuple[Choice, Estimate]:
     if estimate.status == "ok" and estimate.noise_model != "white":
         return _unsteady(choice, estimate, settings)
     return choice, estimate
+
+
+def _coasting(choice: Choice, settings: FitSettings) -> tuple[Choice, Estimate]:
+    """The same where a rolling resistance is found that nobody asked for.
+
+    Starts are compared at the resistance that each has under white noise: under noise that is found with it,
+    the search goes slowly where the start is wrong.
+    """
+    narrow = fit_choice("least_squares", replace(choice, noise="white"), settings)
+    found = choice
+    for rival in unsteady(choice, settings) if settings.noise != "white" else []:
+        wide = fit_choice("least_squares", replace(rival, noise="white"), settings)
+        if not (narrow.status == wide.status == "ok" and remembers(narrow.residual)):
+            continue
+        here, there = (
+            _bic(at_found(one, fit), "ar", settings) for one, fit in ((choice, narrow), (rival, wide))
+        )
+        if wide.bic < narrow.bic - CERTAIN and there < here - CERTAIN:
+            found = rival
+    estimate = fit_choice("least_squares", found, settings)
+    if estimate.status == "ok":
+        constant = without_resistance(found, settings)
+        estimate = _instead(estimate, choice.coasting, fit_choice("least_squares", constant, settings))
+        if found is not choice:
+            estimate = _instead(estimate, found.reasons[-1], narrow)
+    return found, estimate
 
 
 def _unsteady(choice: Choice, estimate: Estimate, settings: FitSettings) -> tuple[Choice, Estimate]:
@@ -68,11 +104,15 @@ def _unsteady(choice: Choice, estimate: Estimate, settings: FitSettings) -> tupl
     answer = fit_choice("least_squares", found, settings)
     if answer.status != "ok":
         return choice, estimate
-    if OF in estimate.names:
-        *before, why = found.reasons
-        why += f"; else the initial lean rate would be {estimate.parameters[OF]:+.3f} rad/s"
-        answer = replace(answer, chosen=(*before, why, *answer.chosen[len(found.reasons) :]))
-    return found, answer
+    return found, _instead(answer, found.reasons[-1], estimate)
+
+
+def _instead(estimate: Estimate, why: str, other: Estimate) -> Estimate:
+    """The estimate; beside why something was chosen stands what the initial lean rate would be otherwise."""
+    if other.status != "ok" or OF not in other.names:
+        return estimate
+    told = f"{why}; else the initial lean rate would be {other.parameters[OF]:+.3f} rad/s"
+    return replace(estimate, chosen=tuple(told if one == why else one for one in estimate.chosen))
 
 
 def _bic(choice: Choice, noise: str, settings: FitSettings) -> float:

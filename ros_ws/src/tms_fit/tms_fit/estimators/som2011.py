@@ -20,8 +20,9 @@ TAKEN = (
 
 def estimate(window: Window, settings: FitSettings) -> Estimate:
     """Initial lean rate from the lean rate; lean, steer, steer rate start at zero, whatever is asked for."""
-    middle = float(window.speed.at(0.5 * window.time[-1])) if len(window.time) else window.start_speed
-    constant = replace(window, speed=constant_speed(middle, window.speed.std))
+    curve = window.speed
+    middle = curve.origin if curve.extrapolated or not len(window.time) else 0.5 * float(window.time[-1])
+    constant = replace(window, speed=constant_speed(float(curve.at(middle)), curve.std))
     kept = (*LINEAR, "speed", "lean_rate_gain")
     fixed = {k: v for k, v in settings.fixed.items() if k in kept and k not in FREE}
     plain = replace(

@@ -21,7 +21,6 @@ from tms_fit.joint.noise import NoisySolution, solve_with_noise
 from tms_fit.joint.problem import BICYCLE_NUMBERS, JointProblem, JointSolution, Run
 from tms_fit.offline import RecordingFit, first_stamp
 from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, FitSettings, check_known
-from tms_fit.speed_curve import SpeedCurve
 from tms_fit.window import Window, without_saturated
 
 OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
@@ -226,7 +225,7 @@ def _inexact(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, 
     for variance, axis in zip(variances, axes.T, strict=True):
         if variance > 0.0:
             step = DIFFERENCE * math.sqrt(variance) * axis
-            ends = (SpeedCurve(curve.coefficients + part * step, curve.covariance) for part in (-1.0, 1.0))
+            ends = (replace(curve, coefficients=curve.coefficients + part * step) for part in (-1.0, 1.0))
             low, high = (replace(window, speed=end) for end in ends)
             yield low, high, 2.0 * DIFFERENCE
     if window.delay_std and "strike_time" not in names:

@@ -43,7 +43,7 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
     frequency, decay time and size of an oscillator, as many as are known.
     """
     window, known, outliers = problem.window, noise_model, 0
-    plain = solution = solve(problem, _first_rows(problem))
+    plain = solution = _plain(problem, noise_model)
     noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
     limits = _limits(problem)
     judged = limits is None and _judged(problem, solution)
@@ -72,11 +72,18 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
             break
     if solution.status != "not_observable":
         solution = _with_covariance(problem, solution, noise, loss, limits)
-    if noise_model == "auto" and known == "ar" and loss.name == "squares" and not problem.priors:
+    if noise_model == "auto" and known == "ar" and loss.name == "squares":
         # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
         # explain most of the measurement.
         solution = replace(solution, values=plain.values)
     return Fitted(solution, noise, known, loss.name, outliers)
+
+
+def _plain(problem: Problem, noise_model: str) -> Solution:
+    """Least squares. Where its residuals decide about the noise, priors have their weight in it."""
+    if noise_model == "auto" and problem.priors:
+        return fit_problem(problem, "white", Loss("squares")).solution
+    return solve(problem, _first_rows(problem))
 
 
 def _judged(problem: Problem, solution: Solution) -> bool:

@@ -12,12 +12,12 @@ from tms_fit.estimate import Estimate
 from tms_fit.least_squares.alternation import Fitted
 from tms_fit.least_squares.censoring import log_probability
 from tms_fit.least_squares.choices import Choice
-from tms_fit.least_squares.motion import known_values
+from tms_fit.least_squares.motion import known_values, speeds_at
 from tms_fit.least_squares.noise import Noise
 from tms_fit.least_squares.noise.white import White
 from tms_fit.least_squares.nuisance import nuisance_covariance
-from tms_fit.least_squares.projection import Problem
-from tms_fit.settings import CHANNELS, FitSettings
+from tms_fit.least_squares.projection import Problem, Solution
+from tms_fit.settings import CHANNELS, FitSettings, shaping
 from tms_fit.window import Window, without_saturated
 
 LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns
@@ -59,7 +59,7 @@ def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> 
         vaf=variance_accounted_for(without_saturated(window), predicted),
         sample_count=int(np.isfinite(residual).sum()),
         residual_autocorrelation=autocorrelation,
-        known={**_known(problem), **problem.known},
+        known={**_known(problem, solution), **problem.known},
         predicted=predicted,
         residual=residual,
         whitened=innovations,
@@ -153,9 +153,11 @@ def _censored_log_likelihood(std: float, window: Window, predicted: Array) -> fl
     return float(np.sum(-0.5 * u**2 - 0.5 * math.log(2.0 * math.pi) - math.log(std)) + np.sum(beyond))
 
 
-def _known(problem: Problem) -> dict[str, float]:
+def _known(problem: Problem, solution: Solution) -> dict[str, float]:
     """Values of the window that the prediction used and that were not free."""
-    known = known_values(problem.window)
+    known, values = known_values(problem.window), shaping(problem.values(solution.values))
+    start = values.get("strike_time", known["strike_time"])
+    known["speed"] = float(speeds_at(problem.window, values, np.array([start]))[0])
     return {name: value for name, value in known.items() if name not in problem.names}
 
 

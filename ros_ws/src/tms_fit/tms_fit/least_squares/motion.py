@@ -36,7 +36,8 @@ class Motion:
 def known_values(window: Window) -> dict[str, float]:
     """Values of the nonlinear parameters as the window has them, before anything is fitted.
 
-    No `rolling_resistance`: the speed follows the window's speed curve.
+    No `rolling_resistance`: the speed follows the window's speed curve. Where one is given and `speed` isn't,
+    the speed at the start is what `speeds_at` says.
     """
     return {
         "speed": window.start_speed,
@@ -46,11 +47,31 @@ def known_values(window: Window) -> dict[str, float]:
     }
 
 
+def speeds_at(window: Window, nonlinear: Mapping[str, float], times: Array) -> Array:
+    """Speeds (n,) [m/s] at times (n,) [s] since the first sample, for nonlinear parameters by name.
+
+    Without `rolling_resistance`, the speed runs parallel to the window's curve; with it, it falls by
+    C_r g m / m_eff per second, from `speed` at the start on, or, where that isn't given and the curve is
+    extrapolated, from when it was measured on.
+    """
+    values, curve = {**known_values(window), **nonlinear}, window.speed
+    follows = curve.extrapolated and "speed" not in nonlinear
+    start = values["strike_time"]
+    if "rolling_resistance" in values:
+        falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
+        since = times - (curve.origin if follows else start)
+        speeds: Array = (float(curve.coefficients[0]) if follows else values["speed"]) - falling * since
+        return speeds
+    if curve.constant:
+        return np.full(len(times), values["speed"])
+    speeds = curve.at(times)
+    return speeds if follows else speeds + (values["speed"] - curve.at(start))
+
+
 def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
     """Motion of a window for nonlinear parameters by name; those left out are as `known_values` says.
 
-    Without `rolling_resistance`, the speed runs parallel to the window's curve; with it, it falls by
-    C_r g m / m_eff per second, whatever the curve. Raises ParameterError for a speed of zero or less at some
+    The speed is that of `speeds_at`. Raises ParameterError for a speed of zero or less at some
     sample, for a start after the first sample, and for a bicycle that can't tell what a changing speed does.
     """
     values = {**known_values(window), **nonlinear}
@@ -62,12 +83,7 @@ def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
     falling = None
     if "rolling_resistance" in values:
         falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
-        speeds = values["speed"] - falling * (times - start)
-    elif window.speed.constant:
-        speeds = np.full(len(times), values["speed"])
-    else:
-        speeds = window.speed.at(times)
-        speeds = speeds + (values["speed"] - speeds[0])
+    speeds = speeds_at(window, nonlinear, times)
     if not (np.isfinite(speeds).all() and (speeds >= SLOWEST).all() and (speeds <= FASTEST).all()):
         raise ParameterError(
             f"speed: expected {SLOWEST:g} to {FASTEST:g} m/s over the whole window, found"
@@ -92,7 +108,7 @@ def _transitions(
         exponential = expm(generator * distinct[:, None, None])[index]
         return exponential[:, :4, :4], exponential[:, :4, 4]
     if falling is not None:
-        found = _falling_evenly(bicycle, times, steps, speeds[:-1], -falling, window)
+        found = _falling_evenly(bicycle, steps, speeds[:-1], -falling, window)
         if found is not None:
             return found[:, :4, :4], found[:, :4, 4]
     first = 1 if steps[0] == 0.0 else 0  # the strike fell on the first sample
@@ -106,18 +122,28 @@ def _transitions(
 
 
 def _falling_evenly(
-    bicycle: Bicycle, times: Array, steps: Array, speeds: Array, acceleration: float, window: Window
+    bicycle: Bicycle, steps: Array, speeds: Array, acceleration: float, window: Window
 ) -> Array | None:
-    """Transitions (n, 5, 5) where all steps but the first are equal; None where they aren't."""
-    if len(steps) < 2 or (steps[1:] != steps[1]).any():
+    """Transitions (n, 5, 5) where most steps but the first are equal; None where they aren't."""
+    distinct, index, counts = np.unique(steps[1:], return_inverse=True, return_counts=True)
+    if not len(distinct):
         return None
-    later = even_transitions(bicycle, speeds[1:], acceleration, float(steps[1]), window.resistance)
-    if later is None:
+    usual = int(np.argmax(counts))
+    even = 1 + np.flatnonzero(index == usual)
+    series = even_transitions(bicycle, speeds[even], acceleration, float(distinct[usual]), window.resistance)
+    if series is None:
         return None
-    first, begin = np.eye(5)[None], times[1:2] - times[:1]  # not rounded: the start may be what is searched
-    if begin[0]:
-        first = transitions_from(bicycle, speeds[:1], np.array([acceleration]), begin, window.resistance)
-    return np.concatenate([first, later])
+    # The first is not rounded: the start may be what is searched. Before others, samples were lost.
+    single = np.append(0, 1 + np.flatnonzero(index != usual))
+    lengths = steps[single]
+    some = lengths > 0.0  # the strike may fall on the first sample
+    changes = np.full(int(some.sum()), acceleration)
+    found = np.empty((len(steps), 5, 5))
+    found[even], found[0] = series, np.eye(5)
+    if some.any():
+        rows = single[some]
+        found[rows] = transitions_from(bicycle, speeds[rows], changes, lengths[some], window.resistance)
+    return found
 
 
 def _with_feedback(bicycle: Bicycle, lean_rate_gain: float) -> Bicycle:

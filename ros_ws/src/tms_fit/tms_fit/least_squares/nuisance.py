@@ -17,7 +17,6 @@ from tms_model.bicycle import Array
 from tms_fit.least_squares.prediction import Predictor, derivative, predictor
 from tms_fit.least_squares.projection import Problem, Rows, Solution
 from tms_fit.settings import shaping
-from tms_fit.speed_curve import SpeedCurve
 from tms_fit.window import Window
 
 CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]
@@ -69,7 +68,7 @@ def _by_curve(problem: Problem, solution: Solution) -> Iterator[tuple[int, Predi
 def _moved(window: Window, power: int, change: float) -> Window:
     coefficients = window.speed.coefficients.copy()
     coefficients[power] += change
-    return replace(window, speed=SpeedCurve(coefficients, window.speed.covariance))
+    return replace(window, speed=replace(window.speed, coefficients=coefficients))
 
 
 def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) -> Array:

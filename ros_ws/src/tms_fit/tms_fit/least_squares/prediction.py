@@ -109,11 +109,14 @@ def derivative(window: Window, nonlinear: Mapping[str, float], name: str) -> Pre
 
 def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
     """Both channels (n, 2) [rad/s] as an estimate predicts them, and their derivatives (n, 2, p)."""
-    model = predictor(window, estimate.nonlinear)
+    nonlinear = estimate.nonlinear
+    if window.speed.extrapolated and "speed" not in estimate.names:
+        del nonlinear["speed"]  # a consequence of what was measured before, and of what is free
+    model = predictor(window, nonlinear)
     columns = [
         model.columns[:, :, LINEAR.index(name)]
-        if name in LINEAR and name not in estimate.nonlinear
-        else derivative(window, estimate.nonlinear, name).predict(estimate.complete)
+        if name in LINEAR and name not in nonlinear
+        else derivative(window, nonlinear, name).predict(estimate.complete)
         for name in estimate.names
     ]
     return model.predict(estimate.complete), np.stack(columns, axis=2)

@@ -143,7 +143,7 @@ def stable_ranges(answer: Stability, highest: float) -> Columns:
 
 def run_speeds(fit: RecordingFit, both: Comparison) -> Columns:
     """Lowest and highest measured speed during the free response, and the one used."""
-    used = both.used.start_speed
+    used = both.start_speed
     low = high = used
     if fit.recording.speed is not None:
         time_ns, speed = fit.recording.speed.time_ns, fit.recording.speed.speed

@@ -55,7 +55,7 @@ def _table(fit: RecordingFit) -> Element:
             fixed(100.0 * estimate.vaf[channel], 1) if channel in estimate.vaf else NONE
             for channel in CHANNELS
         ]
-        rows.append([link, when, fixed(strike.window.start_speed, 2), rate, interval, *shares])
+        rows.append([link, when, fixed(strike.speed, 2), rate, interval, *shares])
     head = ["strike", "at [s]", "speed [m/s]", "initial lean rate [rad/s]", "95 % interval [rad/s]"]
     return table([*head, "VAF lean rate [%]", "VAF yaw rate [%]"], rows, class_="strikes")
 
@@ -75,5 +75,5 @@ def _columns(fit: RecordingFit) -> Columns:
             at = estimate.names.index(NAME)
             value = (float(estimate.values[at]), float(estimate.ci95[at, 0]), float(estimate.ci95[at, 1]))
         shares = [100.0 * estimate.vaf.get(channel, nan) for channel in CHANNELS]
-        rows.append((when, *value, strike.window.start_speed, *shares))
+        rows.append((when, *value, strike.speed, *shares))
     return {name: column(row[index] for row in rows) for index, name in enumerate(names)}

@@ -69,7 +69,7 @@ def _agreement(fit: RecordingFit, strike: StrikeFit, estimate: Estimate) -> list
     span = (strike.end_ns - strike.start_ns) / 1e9
     return [
         f"Over the following {fixed(span, 2)} s the model of {fit.bicycle.name} at"
-        f" {fixed(strike.window.start_speed, 2)} m/s accounts for {' and '.join(shares)}. "
+        f" {fixed(strike.speed, 2)} m/s accounts for {' and '.join(shares)}. "
     ]
 
 

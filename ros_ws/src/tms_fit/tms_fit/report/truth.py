@@ -56,7 +56,7 @@ def truth_table(state: StateSamples, both: Comparison) -> Element | None:
             )
         rms = float(np.sqrt(np.mean(difference**2)))
         lines.append([f"{words}, root mean square of the difference [rad/s]", "", "", f"{rms:.2g}"])
-    used, mean = both.used.start_speed, float(state.speed[rows[0]])
+    used, mean = both.start_speed, float(state.speed[rows[0]])
     places = decimals(both.used.speed.std) if both.used.speed.std else 3
     lines.append(
         ["speed at the start [m/s]", number(used, places), number(mean, places), number(used - mean, places)]

@@ -40,39 +40,46 @@ class Sample:
 
 
 class Series:
-    """Samples of one slow topic; of those with the same stamp the first that came."""
+    """Samples of one slow topic; of those with the same stamp the first that came, or that has a variance."""
 
     def __init__(self) -> None:
         self.time: list[int] = []
         self.value: list[float] = []
+        self.variance: list[float] = []  # NaN: unknown
 
-    def add(self, time_ns: int, value: float) -> None:
+    def add(self, time_ns: int, value: float, variance: float = math.nan) -> None:
         """One value, at its place in time."""
-        if not self.time or time_ns > self.time[-1]:
-            self.time.append(time_ns)
-            self.value.append(value)
-            return
-        index = bisect_left(self.time, time_ns)
-        if self.time[index] != time_ns:
-            self.time.insert(index, time_ns)
-            self.value.insert(index, value)
+        index = len(self.time)
+        if index and time_ns <= self.time[-1]:
+            index = bisect_left(self.time, time_ns)
+            if self.time[index] == time_ns:
+                if math.isnan(self.variance[index]) and not math.isnan(variance):
+                    self.value[index], self.variance[index] = value, variance
+                return
+        self.time.insert(index, time_ns)
+        self.value.insert(index, value)
+        self.variance.insert(index, variance)
 
     def at(self, time_ns: int) -> tuple[float, int | None]:
         """The last value at or before a time, and when it was measured; NaN and None before the first."""
         index = bisect_right(self.time, time_ns)
         return (self.value[index - 1], self.time[index - 1]) if index else (math.nan, None)
 
-    def between(self, first_ns: int, last_ns: int) -> tuple[IntArray, Array]:
-        """Times [ns] and values from the one that holds at `first_ns` to `last_ns`."""
+    def between(self, first_ns: int, last_ns: int) -> tuple[IntArray, Array, Array]:
+        """Times [ns], values and variances from the one that holds at `first_ns` to `last_ns`."""
         first, last = bisect_right(self.time, first_ns), bisect_right(self.time, last_ns)
         since = slice(max(first - 1, 0), last)
-        return np.array(self.time[since], dtype=np.int64), np.array(self.value[since], dtype=float)
+        return (
+            np.array(self.time[since], dtype=np.int64),
+            np.array(self.value[since], dtype=float),
+            np.array(self.variance[since], dtype=float),
+        )
 
     def forget(self, before_ns: int) -> None:
         """Drop what no longer matters after a time."""
         index = bisect_right(self.time, before_ns) - 1  # keeps the one that holds at before_ns
         if index > 1000:
-            del self.time[:index], self.value[:index]
+            del self.time[:index], self.value[:index], self.variance[:index]
 
 
 class Alignment:

@@ -21,7 +21,14 @@ from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_fit.strike_fit import StrikeFit
 
-INPUTS = (topics.RUN_INFO, topics.SPEED, topics.STEER_TORQUE, topics.LEAN_YAW, topics.IMU)
+INPUTS = (
+    topics.RUN_INFO,
+    topics.SPEED,
+    topics.SPEED_COVARIANCE,
+    topics.STEER_TORQUE,
+    topics.LEAN_YAW,
+    topics.IMU,
+)
 JUMP_BACK = 1_000_000_000  # [ns]; an earlier stamp than this is a new run, not a late sample
 GAP = 500_000_000  # [ns] between IMU samples that is counted as one
 WAIT_FOR_RUN_INFO = 100  # IMU samples to wait for a run_info when the bicycle was given
@@ -161,6 +168,8 @@ class LiveFit:
                 self._add_imu(record)
             elif topic == topics.SPEED:
                 self._online.add_speed(*conversion.speed_reading(record))
+            elif topic == topics.SPEED_COVARIANCE:
+                self._online.add_speed(*conversion.speed_covariance_reading(record))
             elif topic == topics.LEAN_YAW:
                 self._online.add_saturation(*conversion.saturation_reading(record))
             else:

@@ -97,9 +97,9 @@ class OnlineFit:
         """Which axes stood at their limit in the IMU sample of this stamp: flags of tms_msgs/LeanYaw."""
         self._aligned.add_flags(time_ns, flags)
 
-    def add_speed(self, time_ns: int, speed: float) -> None:
-        """Forward speed [m/s]."""
-        self._aligned.speed.add(time_ns, speed)
+    def add_speed(self, time_ns: int, speed: float, variance: float = math.nan) -> None:
+        """Forward speed [m/s] and its variance [m^2/s^2], NaN: unknown."""
+        self._aligned.speed.add(time_ns, speed, variance)
         self._release()
 
     def add_steer_torque(self, time_ns: int, steer_torque: float) -> None:
