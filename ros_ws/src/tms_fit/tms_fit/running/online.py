@@ -71,9 +71,7 @@ class OnlineFit:
         self._nominal_speed = stated if math.isfinite(stated) else nominal_speed
         self._filter = _filter(bicycle, settings) if running_filter else None
         self._gyroscopes = Gyroscopes(imu_orientation, settings.gyroscope_range)
-        self._detector = (
-            GivenStrikes(strike_times) if strike_times else StrikeDetector(asked=self._surely_struck)
-        )
+        self._detector = GivenStrikes(strike_times) if strike_times else StrikeDetector()
         self._aligned = Alignment(self._gyroscopes, reorder_window, settings.fixed.get("speed"))
         self._longest_ns = round((settings.window + self._detector.latency) * NANOSECONDS)
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None

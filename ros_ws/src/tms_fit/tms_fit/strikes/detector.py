@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 
@@ -47,11 +46,7 @@ MANY_TIMES = 6.0  # the noise: less is no change
 class StrikeDetector:
     """Finds strikes in a stream of lean rates. Same samples, same strikes, whoever feeds them."""
 
-    def __init__(
-        self, settings: StrikeSettings | None = None, asked: Callable[[Strike], bool] | None = None
-    ) -> None:
-        """Asked: who knows the bicycle, whether a push soon after a strike is more than its swing back."""
-        self._asked = asked
+    def __init__(self, settings: StrikeSettings | None = None) -> None:
         self._settings = settings or StrikeSettings()
         self._raw: deque[tuple[int, float]] = deque()  # samples [ns], [rad/s]
         self._bin: list[tuple[int, float]] = []  # samples of the bin that is open
@@ -201,7 +196,8 @@ class StrikeDetector:
         strike: Strike | Rejected | None = judge_kink(stretch, *kinked, self._settings) if kinked else None
         if strike is None and swung:
             strike = judge_swing(stretch, *swung, self._settings)
-            if isinstance(strike, Strike) and self._swings_back(strike):
+            last = self._last[-1] if self._last else None
+            if isinstance(strike, Strike) and too_soon(last, strike, self._settings):
                 strike = Rejected(strike.time_ns, strike.change, SWING_BACK)
         if isinstance(strike, Rejected):
             self.rejected.append(strike)
@@ -209,10 +205,6 @@ class StrikeDetector:
         if strike is not None:
             self._last.append(strike)
         return strike
-
-    def _swings_back(self, strike: Strike) -> bool:
-        last = self._last[-1] if self._last else None
-        return too_soon(last, strike, self._settings) and not (self._asked and self._asked(strike))
 
     def _stretch(self) -> Stretch:
         first = self._first_kept()
