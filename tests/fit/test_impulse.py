@@ -135,6 +135,9 @@ def test_real_pushes_stay_pushes(make_run: Any) -> None:
     (found,) = found_in(online)
     assert found.strike.kind == "push"
     assert 2.1 < (found.strike.time_ns - run.info.start_ns) / 1e9 < 2.2
+    # Upright at the peak of a push is the wrong model: what it leaves is large, and still gives a covariance.
+    (estimate,) = found.estimates
+    assert np.linalg.eigvalsh(estimate.covariance).min() > 0.0
 
 
 @pytest.mark.parametrize("begin", [0.12, 0.25])

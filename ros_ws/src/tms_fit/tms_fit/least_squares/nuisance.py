@@ -35,11 +35,15 @@ def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows, white:
             continue
         nonlinear = _nonlinear(problem, solution)
         shift = _shift(problem, solution, rows, derivative(window, nonlinear, name))
-        added += np.outer(shift, shift) * std**2
+        variance = std**2
         if name == "lean_rate_gain" and white and window.gain_by_lean_rate is not None:
-            along = rows(np.stack([window.gain_by_lean_rate, np.zeros(len(window.time))], axis=1))
-            shared = white**2 * solution.of_rows @ solution.jacobian[: len(along)].T @ along
+            # Rows are in units of the noise.
+            along = white**2 * rows(np.stack([window.gain_by_lean_rate, np.zeros(len(window.time))], axis=1))
+            shared = solution.of_rows @ solution.jacobian[: len(along)].T @ along
             added += np.outer(shift, shared) + np.outer(shared, shift)
+            # The lean rate alone makes the gain as uncertain as that; less, and the sum were no covariance.
+            variance = max(variance, float(along @ along))
+        added += np.outer(shift, shift) * variance
     changes = list(_by_curve(problem, solution))
     if changes:
         powers, models = zip(*changes, strict=True)
