@@ -158,8 +158,8 @@ def without(run: SimulatedRun, topic: str) -> list[Record]:
     return [record for record in run.records() if record.topic != topic]
 
 
-def named(run: SimulatedRun, bicycle: str) -> SimulatedRun:
-    return replace(run, info=replace(run.info, bicycle=bicycle))
+def named(run: SimulatedRun, bicycle: str, **numbers: float) -> SimulatedRun:
+    return replace(run, info=replace(run.info, bicycle=bicycle, parameters=numbers))
 
 
 def at_speed(run: SimulatedRun, speed: float) -> SimulatedRun:
@@ -172,15 +172,19 @@ BAGS: dict[str, tuple[Callable[[SimulatedRun], Any], str]] = {
     "no bicycle named": (lambda run: without(run, "/run_info"), "use --bicycle NAME"),
     "unknown bicycle named": (
         lambda run: named(run, "tandem").records(),
-        "names a bicycle of the catalogue, found 'tandem'; use --bicycle NAME or FILE",
+        "found 'tandem', expected all numbers of a bicycle, found missing wheelbase",
     ),
     "bicycle named by its file": (
         lambda run: named(run, str(FOLDER / "delft_sbw.yaml")).records(),
-        "delft_sbw.yaml'; use --bicycle NAME or FILE",
+        "steer_axis_tilt, gravity; use --bicycle NAME or FILE",
     ),
     "bicycle named by a way to its file": (
         lambda run: named(run, "../bicycles/delft_sbw").records(),
-        "found '../bicycles/delft_sbw'; use --bicycle NAME or FILE",
+        "found '../bicycles/delft_sbw', expected all numbers",
+    ),
+    "bicycle with a number that is none": (
+        lambda run: named(run, "tandem", **{**run.info.parameters, "trail": float("nan")}).records(),
+        "trail: expected a finite number",
     ),
     "speed zero": (
         lambda run: at_speed(run, 0.0).records(),

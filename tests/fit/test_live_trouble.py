@@ -149,11 +149,11 @@ def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
     assert [one.topic for one in answers if one.topic == "/filter_state"] == []
 
 
-# A bicycle of one's own may be named by its file; a message may not have files opened.
+# A message may not have files opened, whatever it names; without all numbers it says no bicycle.
 @pytest.mark.parametrize("name", ["tandem", str(FOLDER / "tms_eq_10_1.yaml"), "../bicycles/tms_eq_10_1"])
 def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str) -> None:
     fit = LiveFit(FitSettings())
-    (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name))
+    (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name, parameters={"trail": 0.1}))
     assert fit.take(topics.RUN_INFO, wrong.data) == []
     assert fit.diagnostics["unknown_bicycle"] == 1
     assert fit.bicycle == ""
@@ -162,6 +162,19 @@ def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str
     answers = [*taken(fit, [announced()]), *fit.finish()]
     right = LiveFit(FitSettings())
     assert answers == [*taken(right, [announced(), *messages]), *right.finish()]
+
+
+def test_a_bicycle_of_ones_own_is_the_one_that_run_info_states() -> None:
+    numbers = load_bicycle(INFO.bicycle).numbers
+    (said,) = conversion.run_info_records(replace(INFO, bicycle="/home/me/tandem.yaml", parameters=numbers))
+    live, known = LiveFit(FitSettings()), LiveFit(FitSettings())
+    answers = [*taken(live, [(topics.RUN_INFO, said.data), *stream(SECOND, 1)]), *live.finish()]
+    right = [*taken(known, [announced(), *stream(SECOND, 1)]), *known.finish()]
+    assert live.bicycle == "tandem"
+    assert "unknown_bicycle" not in live.diagnostics
+    states = [one for one in answers if one.topic == "/filter_state"]
+    assert states
+    assert states == [one for one in right if one.topic == "/filter_state"]
 
 
 def test_a_bicycle_of_ones_own_is_used_to_fit_once_more(tmp_path: Path) -> None:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.settings import PARAMETERS
+from tms_bag import BagWriter, read_recording
+from tms_fit.offline import bicycle_of, fit_recording
+from tms_fit.settings import PARAMETERS, FitSettings
+from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 from tms_study.bound import Experiment, bound, planned, table
 
-# Eq. (10.1), 3.6 m/s constant, initial lean rate 0.5 rad/s, 100 Hz for 4 s, white noise of 0.02 rad/s:
+# Eq. (10.1), 3.6 m/s constant, initial lean rate 0.5 rad/s, 400 samples at 100 Hz, white noise of 0.02 rad/s:
 # computed with independent code, two implementations agreed.
-EXPERIMENT = Experiment(rate=100.0, noise_density=0.002, duration=4.0, lean_rate=0.5)
+EXPERIMENT = Experiment(rate=100.0, noise_density=0.002, duration=3.99, lean_rate=0.5)
 LEAN_RATE, BIASES = ("initial_lean_rate",), ("lean_rate_bias", "yaw_rate_bias")
 ON_RUBBER = {"floor": "thin_rubber", "effects.rolling_resistance": True}
 STATES = ("initial_lean", "initial_steer", "initial_lean_rate", "initial_steer_rate")
@@ -75,6 +79,22 @@ def test_command(command: Any, refused: Any) -> None:
     assert "Cramer-Rao" in text
     assert "free: unknown 'lean'" in refused("tms_study", "bound", "tms_strike", "--free", "lean")
     assert "expected a sensor with noise" in refused("tms_study", "bound", "tms_strike_ideal")
+
+
+@pytest.mark.parametrize("rate", [25.0, 40.0, 100.0])
+@pytest.mark.parametrize("duration", [4.2, 6.0])
+def test_samples_are_those_that_a_fit_uses(rate: float, duration: float, tmp_path: Path) -> None:
+    # Both ends count, where the window ends the response and where the recording does: at 25 Hz one of 38.
+    scenario = load_scenario("tms_strike", {"imu.rate": rate, "duration": duration, "strike.time": [3.0]})
+    with BagWriter(tmp_path / "bag") as bag:
+        for record in simulate(scenario, np.random.default_rng(1)).records():
+            bag.write(record)
+    recording = read_recording(tmp_path / "bag")
+    (fit,) = fit_recording(
+        recording, bicycle_of(recording, None), FitSettings(estimators=("least_squares",)), (3.0,)
+    ).strikes
+    assert fit.window is not None
+    assert len(fit.window.time) == planned(scenario).count
 
 
 def test_every_tenth_sample_of_a_fast_sensor_has_the_noise_of_a_fast_one() -> None:

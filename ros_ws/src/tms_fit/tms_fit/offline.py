@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Recording, RecordingError
 from tms_bag.samples import RunInfo
-from tms_model import Bicycle, bicycle_names, load_bicycle
+from tms_model import Bicycle, ParameterError, bicycle_names, load_bicycle
 from tms_model.bicycle import Array
 from tms_model.frames import quaternion
+from tms_model.stated_bicycle import bicycle_from_numbers
 from tqdm import tqdm
 
 from tms_fit.running.gyroscopes import FLAGS
@@ -33,19 +34,33 @@ class RecordingFit:
 
 
 def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
-    """The bicycle asked for, by name or file, else the one of the catalogue that the recording names.
+    """The bicycle asked for, by name or file, else the one that the recording states.
 
-    Raises ParameterError, and RecordingError where the recording names none: it may not have files opened.
+    Raises ParameterError, and RecordingError where the recording states none.
     """
     if name:
         return load_bicycle(name)
-    named = recording.run_info.bicycle if recording.run_info else ""
-    if named not in bicycle_names():
+    info = recording.run_info
+    try:
+        return stated_bicycle(info)
+    except ParameterError as error:
         raise RecordingError(
-            f"{recording.path}: expected a run_info that names a bicycle of the catalogue, found"
-            f" {repr(named) if named else 'none'}; use --bicycle NAME or FILE"
-        )
-    return load_bicycle(named)
+            f"{recording.path}: expected a run_info that names a bicycle of the catalogue, or has all of its"
+            f" numbers; found {f'{info.bicycle!r}, {error}' if info and info.bicycle else 'none'};"
+            " use --bicycle NAME or FILE"
+        ) from error
+
+
+def stated_bicycle(info: RunInfo | None) -> Bicycle:
+    """The bicycle of the catalogue that a run_info names, else one of the numbers that it states.
+
+    Another name may not have a file opened. Raises ParameterError where it states none.
+    """
+    if info is None or not info.bicycle:
+        raise ParameterError("expected a run_info that names a bicycle, found none")
+    if info.bicycle in bicycle_names():
+        return load_bicycle(info.bicycle)
+    return bicycle_from_numbers(info.bicycle, info.parameters)
 
 
 Progress = Callable[[float, int], None]  # share of the samples used, strikes fitted so far

@@ -51,6 +51,11 @@ class Experiment:
         """Standard deviation of one sample [rad/s]."""
         return self.noise_density * math.sqrt(self.rate)
 
+    @property
+    def count(self) -> int:
+        """Samples in a window of that duration, the first and the last included as in a fit."""
+        return math.floor(self.duration * self.rate * (1.0 + 1e-12)) + 1
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -157,9 +162,8 @@ def to_text(scenario: Scenario, free: tuple[str, ...], rows: list[Bound]) -> str
 
 def _jacobian(scenario: Scenario, experiment: Experiment, free: tuple[str, ...]) -> Array:
     """Derivatives (m, p) of all samples used by what is free, at the scenario's truth."""
-    count = round(experiment.duration * experiment.rate)
     ride = conditions(scenario, np.random.default_rng(0))  # nothing used here is drawn
-    window = _window(scenario, ride, np.arange(count) / experiment.rate)
+    window = _window(scenario, ride, np.arange(experiment.count) / experiment.rate)
     falling = -ride.plant.acceleration
     truth = {
         "initial_lean_rate": experiment.lean_rate,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from tms_bag import RecordingError, read_recording
-from tms_model import ParameterError, load_bicycle
+from tms_model import ParameterError, bicycle_names, load_bicycle
 from tms_model.command_line import print_json
 from tms_model.measured import Measured
 
@@ -126,14 +126,11 @@ def print_calibration(arguments: argparse.Namespace, words: Sequence[str]) -> No
         raise ParameterError(f"{output}: expected a name that ends in .yaml")
     priors = _priors(arguments)
     fits = _fits(arguments, arguments.each, {})
-    found = {fit.bicycle.name for fit in fits}
-    if len(found) > 1:
-        raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
+    parent = arguments.bicycle or _common_bicycle(fits)
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
     calibration = calibrate(fits[0].bicycle, runs, arguments.free, priors)
     judged = judge(calibration, strikes)
-    parent = arguments.bicycle or fits[0].bicycle.name
     command = shlex.join(["tms", "fit", *words])
     write_calibration(calibration, output, parent, command, sources_of(fits, strikes))
     if arguments.picture:
@@ -143,6 +140,20 @@ def print_calibration(arguments: argparse.Namespace, words: Sequence[str]) -> No
     else:
         print(calibration_table(calibration, strikes, judged))
         print(f"written: {output}")
+
+
+def _common_bicycle(fits: list[RecordingFit]) -> str:
+    """Name of the bicycle of all bags: one of the catalogue, as the file to be written refers to it."""
+    found = {fit.bicycle.name for fit in fits}
+    if len(found) > 1:
+        raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
+    (name,) = found
+    if name not in bicycle_names():
+        raise ParameterError(
+            f"expected bags that name a bicycle of the catalogue, found {name!r}; what is written refers to"
+            " the bicycle before: use --bicycle FILE"
+        )
+    return name
 
 
 def _picture(calibration: Calibration, strikes: tuple[Strike, ...], judged: Judged, path: Path) -> None:

@@ -11,12 +11,12 @@ from collections import Counter, deque
 import numpy as np
 from tms_bag import Record, RecordingError, conversion, topics
 from tms_bag.samples import RunInfo
-from tms_model import Bicycle, ParameterError, bicycle_names, load_bicycle
+from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
 from tms_fit.kalman.extended_filter import SLOW
 from tms_fit.messages import estimate_records, filter_state_record
-from tms_fit.offline import orientation_of
+from tms_fit.offline import orientation_of, stated_bicycle
 from tms_fit.running.online import OnlineFit
 from tms_fit.settings import FitSettings
 from tms_fit.strike_fit import StrikeFit
@@ -55,7 +55,7 @@ class LiveFit:
         self._reorder_window, self._preview_period = reorder_window, preview_period
         check_names(settings.estimators)
         self._given = load_bicycle(bicycle) if bicycle else None
-        self._announced: Bicycle | None = None  # by run_info, which may name those of the catalogue only
+        self._announced: Bicycle | None = None  # by run_info, which may have no file opened
         self.counts: Counter[str] = Counter()
         self._info: RunInfo | None = None
         self._online: OnlineFit | None = None
@@ -104,10 +104,11 @@ class LiveFit:
     def _announce(self, info: RunInfo) -> list[Record]:
         answers = self.finish() if self._online is not None and self._newest_ns else []
         self._info, self._announced = info, None
-        if info.bicycle in bicycle_names():
-            self._announced = load_bicycle(info.bicycle)
-        elif info.bicycle and self._given is None:
-            self.counts["unknown_bicycle"] += 1
+        try:
+            self._announced = stated_bicycle(info)
+        except ParameterError:
+            if info.bicycle and self._given is None:
+                self.counts["unknown_bicycle"] += 1
         return answers + self._begin()
 
     def _begin(self) -> list[Record]:
