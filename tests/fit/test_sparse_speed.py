@@ -264,3 +264,10 @@ def test_a_speed_of_the_passage_before_is_not_believed(make_run: Any, fit_run: A
     assert values["speed"][0] <= 3.6 <= values["speed"][1]
     assert values["initial_lean_rate"][0] <= 0.5 <= values["initial_lean_rate"][1]
     assert "no speed was measured within 3 s" in estimate.chosen[0]
+
+
+def test_one_reading_of_no_speed_is_no_division_by_zero() -> None:
+    # Known to 0.1 mm/s at best, also where a share of it would be nothing.
+    curve = speed_curve(np.array([-0.5]), np.zeros(1), np.full(1, np.nan), "auto", 1.5, 9.81)
+    assert np.isfinite(curve.coefficients).all()
+    assert np.isfinite(curve.covariance).all()

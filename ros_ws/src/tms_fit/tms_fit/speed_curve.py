@@ -139,7 +139,7 @@ def _scatter(time: Array, speed: Array, slope: float) -> float:
     """
     count = len(speed)
     if count == 1:
-        return (UNSTATED * float(speed[0])) ** 2
+        return max((UNSTATED * float(speed[0])) ** 2, FINEST**2)
     if count < ENOUGH:
         return max(float(np.var(speed - slope * time, ddof=1)), FINEST**2)
     matrix = np.vander(time - time.mean(), 2)

@@ -24,6 +24,8 @@ from tms_fit.strikes.ending import Ending
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, make_window
 
+FASTEST = 1e3  # [m/s]; a faster reading is none
+
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
@@ -158,11 +160,12 @@ def _told(estimates: tuple[Estimate, ...], ending: Ending | None, why: Doubt | N
 def _speed(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> SpeedCurve:
     if "speed" in settings.fixed:
         return constant_speed(settings.fixed["speed"])
-    if np.isfinite(stretch.speed).any():
+    speed = np.where(np.abs(stretch.speed) < FASTEST, stretch.speed, np.nan)
+    if np.isfinite(speed).any():
         first_ns = stretch.time_ns[0]
         return speed_curve(
             (stretch.speed_time_ns - first_ns) / NANOSECONDS,
-            stretch.speed,
+            speed,
             stretch.speed_variance,
             settings.speed_model,
             float(stretch.time_ns[-1] - first_ns) / NANOSECONDS,
