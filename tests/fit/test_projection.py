@@ -24,6 +24,7 @@ TRUTH = {
     "rolling_resistance": 0.06,
     "strike_time": -0.004,
     "lean_rate_gain": 0.15,
+    "steer_damper": 0.01,
     "mounting_pitch": 0.05,
 }
 # With Coulomb friction the response isn't linear in the initial state.
@@ -52,6 +53,7 @@ FREE = {
     ),
     "start": ("strike_time", "initial_lean_rate"),
     "gain": ("initial_lean_rate", "initial_steer_rate", "lean_rate_gain", "speed"),
+    "damper": ("initial_lean_rate", "steer_damper", "rolling_resistance"),
     "mounting": ("initial_lean_rate", "mounting_pitch", "rolling_resistance"),
     "nothing linear": ("speed",),
 }
@@ -91,7 +93,8 @@ def test_derivatives_are_exact(name: str) -> None:
     window = made_window(TRUTH)
     nonlinear = {key: value for key, value in TRUTH.items() if key in NONLINEAR}
     if name in RUBBING:
-        nonlinear |= RUBBING
+        # Undamped, the steering stops at the same samples all over the wider differences, too.
+        nonlinear |= {**RUBBING, "steer_damper": 0.0}
 
     def difference(step: float) -> np.ndarray:
         ends = [
@@ -104,6 +107,15 @@ def test_derivatives_are_exact(name: str) -> None:
     exact = (4.0 * difference(step) - difference(2.0 * step)) / 3.0
     ours = derivative(window, nonlinear, name).predict({**TRUTH, "lean_rate_bias": 0.0, "yaw_rate_bias": 0.0})
     np.testing.assert_allclose(ours, exact, atol=2e-7 * np.abs(exact).max())
+
+
+def test_damping_of_the_run_is_damping_of_the_bicycle() -> None:
+    window = made_window(TRUTH)
+    own = replace(window.bicycle.steer_elements, steer_damper=0.01)
+    damped = replace(window, bicycle=replace(window.bicycle, steer_elements=own))
+    ours, theirs = predictor(window, {"steer_damper": 0.01}), predictor(damped)
+    np.testing.assert_array_equal(ours.columns, theirs.columns)
+    assert np.abs(ours.columns - predictor(window).columns).max() > 1e-3
 
 
 def bounds_when_decelerating() -> list[np.ndarray]:

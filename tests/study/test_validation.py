@@ -18,7 +18,7 @@ def test_quick_validation_reaches_its_bands(command: Any, tmp_path: Path) -> Non
     assert done.code == 0
     document = json.loads(done.out)
     found = {(one["topic"], one["figure"]): one for one in document["findings"]}
-    assert len(found) == 27
+    assert len(found) == 29
     missed = {key for key, one in found.items() if not one["reached"]}
     assert missed == set()
     for one in found.values():  # the band itself, whatever 'reached' says

@@ -25,6 +25,7 @@ NONLINEAR = (
     "rolling_resistance",  # C_r [-]: the speed falls by C_r g m / m_eff per second
     "strike_time",  # [s] start of the free response, from the window's first sample on; not positive
     "lean_rate_gain",  # [N m s/rad] steer torque per lean rate, by a controller
+    "steer_damper",  # [N m s/rad] steer torque against the steer rate, beside the bicycle's own
     "mounting_pitch",  # [rad] of the sensor, nose up: leaks lean rate into its yaw rate
     FRICTION,  # with it, the response isn't linear in INITIAL either
 )

@@ -234,6 +234,7 @@ def _effects() -> dict[str, tuple[str, Window]]:
         "no slip": ("slip", replace(slipping, yaw_rate=slipping.yaw_rate + slip)),
         "a level sensor": ("mounting_pitch", trials.truth({"mounting_pitch": 0.05})),
         "no steer feedback": ("lean_rate_gain", trials.truth({"lean_rate_gain": 0.005})),
+        "no steer damping": ("steer_damper", trials.truth({"steer_damper": 0.005})),
     }
 
 
@@ -250,7 +251,8 @@ def _hypotheses(rng: np.random.Generator, runs: int) -> list[Finding]:
             Finding("a wrong hypothesis", f"{hypothesis}: rejected, share", seen / each, 1.0, 1.0, each)
         )
     right = trials.truth()
-    for topic, make in (("white noise", trials.white), ("AR(1), tau 0.05 s", trials.coloured(0.05))):
+    noises = {f"AR(1), tau {tau:g} s": trials.coloured(tau) for tau in (0.05, 0.2)}
+    for topic, make in {"white noise": trials.white, **noises}.items():
         alarms, tested = 0, 0
         for noise in make(rng, right.time, each * 2):
             told = verdicts(trials.with_rates(right, right.measured + noise), SETTINGS)

@@ -29,6 +29,7 @@ CANDIDATES = (
     "rolling_resistance",
     "mounting_pitch",
     "lean_rate_gain",
+    "steer_damper",
 )
 STEEPEST = 0.1  # [rad] of mounting pitch; nobody mounts a sensor worse without knowing
 LEAST_SHARE = 0.1  # of the residuals' standard deviation that an unknown must explain to be named

@@ -192,6 +192,15 @@ def _no_feedback(window: Window, settings: FitSettings, narrow: Estimate) -> Ver
     )
 
 
+def _no_damping(window: Window, settings: FitSettings, narrow: Estimate) -> Verdict | None:
+    return _freed(
+        "no more steer damping than the bicycle has",
+        "steer_damper",
+        (window, settings, narrow),
+        lambda value, std: f"{value:.4g} +- {std:.2g} N m s/rad more",
+    )
+
+
 def _freed(
     hypothesis: str,
     name: str,
@@ -267,4 +276,12 @@ def _verdict(
     )
 
 
-TESTS = (_constant_speed, _no_steer_rate, _impulse_steer_rate, _no_slip, _no_pitch, _no_feedback)
+TESTS = (
+    _constant_speed,
+    _no_steer_rate,
+    _impulse_steer_rate,
+    _no_slip,
+    _no_pitch,
+    _no_feedback,
+    _no_damping,
+)

@@ -17,7 +17,7 @@ from tms_model import Bicycle
 from tms_model.bicycle import Array
 from tms_model.response import STATE
 
-from tms_fit.least_squares.motion import Motion, known_values, motion
+from tms_fit.least_squares.motion import Motion, as_ridden, known_values, motion
 from tms_fit.settings import FRICTION, INITIAL
 from tms_fit.window import Window
 
@@ -68,9 +68,6 @@ def _finer(time: Array, start: float) -> tuple[Array, Array]:
 
 def _bare(window: Window, lean_rate_gain: float) -> tuple[Bicycle, float]:
     """The bicycle with the run's controller in it, a torque arriving whole, and the share that arrived."""
-    elements = window.bicycle.steer_elements
-    gain = elements.steer_torque_gain
-    whole = replace(
-        elements, lean_rate_gain=elements.lean_rate_gain + gain * lean_rate_gain, steer_torque_gain=1.0
-    )
-    return replace(window.bicycle, steer_elements=whole), gain
+    ridden = as_ridden(window.bicycle, lean_rate_gain)
+    whole = replace(ridden.steer_elements, steer_torque_gain=1.0)
+    return replace(ridden, steer_elements=whole), window.bicycle.steer_elements.steer_torque_gain

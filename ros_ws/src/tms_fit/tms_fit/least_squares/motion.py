@@ -43,6 +43,7 @@ def known_values(window: Window) -> dict[str, float]:
         "speed": window.start_speed,
         "strike_time": -window.delay,
         "lean_rate_gain": window.lean_rate_gain,
+        "steer_damper": 0.0,
         "mounting_pitch": 0.0,
     }
 
@@ -79,7 +80,7 @@ def motion(window: Window, nonlinear: Mapping[str, float]) -> Motion:
     if not start <= (window.time[0] if len(window.time) else 0.0):
         raise ParameterError(f"strike_time: expected no later than the first sample, found {start:g} s")
     times = np.append(start, window.time)
-    bicycle = _with_feedback(window.bicycle, values["lean_rate_gain"])
+    bicycle = as_ridden(window.bicycle, values["lean_rate_gain"], values["steer_damper"])
     falling = None
     if "rolling_resistance" in values:
         falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
@@ -146,10 +147,14 @@ def _falling_evenly(
     return found
 
 
-def _with_feedback(bicycle: Bicycle, lean_rate_gain: float) -> Bicycle:
-    """The bicycle with the controller of this run beside its own steer elements."""
-    if not lean_rate_gain:
+def as_ridden(bicycle: Bicycle, lean_rate_gain: float, steer_damper: float = 0.0) -> Bicycle:
+    """The bicycle with the controller and the steer damping of this run beside its own steer elements."""
+    if not (lean_rate_gain or steer_damper):
         return bicycle
-    elements = bicycle.steer_elements
-    gain = elements.lean_rate_gain + elements.steer_torque_gain * lean_rate_gain
-    return replace(bicycle, steer_elements=replace(elements, lean_rate_gain=gain))
+    own = bicycle.steer_elements
+    elements = replace(
+        own,
+        lean_rate_gain=own.lean_rate_gain + own.steer_torque_gain * lean_rate_gain,
+        steer_damper=own.steer_damper + steer_damper,
+    )
+    return replace(bicycle, steer_elements=elements)

@@ -27,6 +27,7 @@ STEPS = {  # of the differences; the speed's is per m/s
     "rolling_resistance": 1e-4,
     "strike_time": 1e-5,
     "lean_rate_gain": 1e-5,
+    "steer_damper": 1e-5,
     "mounting_pitch": 1e-5,
     FRICTION: 1e-4,
     **dict.fromkeys(INITIAL, 1e-4),  # with friction only

@@ -14,6 +14,7 @@ UNITS = {
     "rolling_resistance": "1",
     "strike_time": "s",
     "lean_rate_gain": "N m s/rad",
+    "steer_damper": "N m s/rad",
     "mounting_pitch": "rad",
     "steer_coulomb_friction": "N m",
 }
