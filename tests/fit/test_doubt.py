@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tms_fit.criticism.doubt import doubt
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.censoring import saturated
 from tms_fit.least_squares.noise import oscillator
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
@@ -46,6 +49,28 @@ def test_an_angle_beyond_small_ones_is_doubted() -> None:
     found = doubt(window, free, fit_window(window, free))
     assert found is not None
     assert found.parameter == "initial_lean"
+
+
+@pytest.mark.parametrize("how", ["drop", "censor", "use"])
+def test_readings_beyond_a_stated_range_are_doubted(how: str) -> None:
+    largest = float(np.abs(noisy({}).measured).max())
+    for part, said in ((0.4, True), (1.5, False)):
+        settings = FitSettings(
+            steer_torque="ignore", noise="white", saturation=how, gyroscope_range=part * largest
+        )
+        window = noisy({})
+        signs = saturated(window.measured, part * largest) if how != "use" else None
+        window = replace(window, saturated=signs)
+        found = doubt(window, settings, fit_window(window, settings))
+        doubted = found is not None and "larger than the stated gyroscope range" in found.sentence
+        assert doubted == (said and how != "use")
+    # Readings at the limit are clipped: nothing to doubt.
+    clipped = np.clip(noisy({}).measured, -0.7 * largest, 0.7 * largest)
+    window = replace(trials.with_rates(noisy({}), clipped), saturated=saturated(clipped, 0.7 * largest))
+    settings = FitSettings(
+        steer_torque="ignore", noise="white", saturation="censor", gyroscope_range=0.7 * largest
+    )
+    assert doubt(window, settings, fit_window(window, settings)) is None
 
 
 def test_right_answers_and_rounding_raise_no_doubt() -> None:

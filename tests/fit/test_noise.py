@@ -238,9 +238,36 @@ def test_censored_fit_is_the_maximum_of_tobits_likelihood() -> None:
     assert answer.std[0] < dropped.std[0] * 1.05
 
 
-@pytest.mark.parametrize("wrong", [{"noise": "ar"}, {"loss": "huber"}])
+def test_noise_beside_half_the_samples_saturated_is_that_of_tobits_likelihood() -> None:
+    # Both unknown, so that the deviation isn't taken from the fit; its divisor counts one unknown less.
+    window = clipped(np.random.default_rng(11), 0.55)
+    limits, column = window.saturated, predictor(window).select(("initial_lean_rate",))[:, :, 0]
+    assert limits is not None
+    assert np.count_nonzero(limits) > 140
+    answer = fit_window(window, FitSettings(free=("initial_lean_rate",), saturation="censor", noise="white"))
+
+    def cost(values: np.ndarray) -> float:
+        off, std, free = window.measured - column * values[0], np.exp(values[1]), limits == 0.0
+        clipped_off = (limits * off)[~free]
+        return -float(np.sum(norm.logpdf(off[free], scale=std)) + np.sum(norm.logsf(clipped_off / std)))
+
+    best = minimize(cost, [0.9, -4.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-11})
+    assert answer.noise["noise_std"] == pytest.approx(np.exp(best.x[1]), rel=0.005)
+    assert answer.values[0] == pytest.approx(best.x[0], abs=0.02 * answer.std[0])
+    # The curvature of the likelihood along the lean rate, the deviation at its best for each.
+    h = 0.3 * float(answer.std[0])
+    profile = [
+        minimize(lambda x, a=a: cost(np.array([a, x[0]])), [best.x[1]], method="Nelder-Mead").fun
+        for a in (best.x[0] - h, best.x[0] + h)
+    ]
+    assert answer.std[0] == pytest.approx(h / np.sqrt(profile[0] + profile[1] - 2.0 * best.fun), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"noise": "ar"}, {"loss": "huber"}, {"intervals": "profile"}, {"intervals": "bootstrap"}]
+)
 def test_censoring_needs_white_noise_and_squares(wrong: dict[str, str]) -> None:
-    with pytest.raises(ParameterError, match="censor goes with white noise and squares"):
+    with pytest.raises(ParameterError, match=r"censor goes with (white noise and squares|intervals wald)"):
         FitSettings(saturation="censor", **wrong)  # type: ignore[arg-type]
 
 

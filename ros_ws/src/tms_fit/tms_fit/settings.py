@@ -123,7 +123,7 @@ class FitSettings:
             )
 
     def _check_saturation(self) -> None:
-        """A range is positive; censoring needs one, and white noise under squares."""
+        """A range is positive; censoring needs white noise, squares, and intervals by them."""
         if self.gyroscope_range is not None and not self.gyroscope_range > 0.0:
             raise ParameterError(
                 f"gyroscope range: expected a positive number of rad/s, found {self.gyroscope_range:g}"
@@ -133,6 +133,10 @@ class FitSettings:
             raise ParameterError(
                 f"saturation: censor goes with white noise and squares, found noise {self.noise} and loss"
                 f" {self.loss}; use drop"
+            )
+        if self.saturation == "censor" and self.intervals != "wald":
+            raise ParameterError(
+                f"saturation: censor goes with intervals wald, found {self.intervals}; use drop"
             )
 
     def _check_oscillator(self) -> None:

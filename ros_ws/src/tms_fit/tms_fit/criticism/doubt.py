@@ -6,6 +6,8 @@ it the plain answer says which one unknown more would explain the most; whether 
 
 Unknowns that stand in for what is missing: with enough of them free the residuals of a wrong model are white
 as well, but then a gyroscope's bias or an angle at the start comes out as none can be.
+
+Readings beyond the range that somebody states: those were not clipped, and aren't what they are taken for.
 """
 
 from __future__ import annotations
@@ -40,6 +42,9 @@ LARGEST = {  # that an unknown can be, and what it then is [rad/s], [rad]
     "initial_lean": (0.5, "an angle for small-angle equations"),
     "initial_steer": (0.5, "an angle for small-angle equations"),
 }
+ABOVE = np.array(
+    [1.1, 1.5]
+)  # of the stated range: lean rate by a mount some degrees off, yaw rate as levelled
 BEYOND = 3.0  # standard errors by which it must be larger
 
 
@@ -53,14 +58,35 @@ class Doubt:
 
 def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:
     """What makes an estimate doubtful; None where nothing does."""
-    if estimate.status != "ok" or _rounding(window, estimate):
+    if estimate.status != "ok":
         return None
-    found = [one for one in (_alike(window, settings, estimate), _impossible(settings, estimate)) if one]
+    found = [one for one in (_beyond_range(window, settings),) if one]
+    if not _rounding(window, estimate):
+        found += [one for one in (_alike(window, settings, estimate), _impossible(settings, estimate)) if one]
     if not found:
         return None
     names = [one.parameter for one in found if one.parameter]
     said = "; ".join(one.sentence for one in found)
     return Doubt(names[0] if names else "", f"doubtful: {said}; --hypotheses tests more")
+
+
+def _beyond_range(window: Window, settings: FitSettings) -> Doubt | None:
+    """Readings that a gyroscope of the stated range doesn't give: that isn't where they are clipped."""
+    stated = settings.gyroscope_range
+    if stated is None or settings.saturation == "use":
+        return None
+    sizes = np.abs(window.measured)
+    above = sizes > ABOVE * stated
+    count = int(np.count_nonzero(above))
+    if not count:
+        return None
+    what = {"drop": "left out", "censor": "taken as at least that large"}[settings.saturation]
+    return Doubt(
+        "",
+        f"{count} readings are larger than the stated gyroscope range of {stated:g} rad/s, up to"
+        f" {sizes[above].max():.3g}: they were not clipped there, and were {what} all the same; state the"
+        " sensor's own range",
+    )
 
 
 def _alike(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | None:

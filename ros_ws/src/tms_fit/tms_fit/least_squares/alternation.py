@@ -22,6 +22,7 @@ from tms_fit.window import Window
 
 ROUNDS = 60  # at most
 FINEST = 1e-4  # largest residual, per largest rate, below which it is no noise: gyroscopes measure no better
+STD_STEPS, STD_SETTLED = 200, 1e-6  # of the noise's deviation beside saturated samples: at most, last change
 SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
 
 
@@ -233,14 +234,22 @@ class _Limits:
         return replace(problem, window=replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]))
 
     def std(self, problem: Problem, residual: Array, unknowns: int, std: float) -> float:
-        """Deviation of the noise, the spread left of the saturated samples included."""
+        """Deviation of the noise, the spread left of the saturated samples included.
+
+        Each step of expectation and maximisation takes away as large a share of its error as samples aren't
+        saturated: they go on until it stands.
+        """
         good = np.isfinite(residual)
         predicted = problem.window.measured - residual
-        spread = float(np.sum(self._at(censoring.excess, predicted, std))) * std**2
-        off = np.where(good, residual, 0.0)
-        off[self.rows] = self._at(censoring.expected, predicted, std) - predicted[self.rows]
-        squares = float(np.sum(off**2)) + spread
-        return math.sqrt(squares / max(int(good.sum()) - unknowns, 1))
+        off = np.where(good & np.logical_not(self.rows), residual, 0.0)
+        squares, count = float(np.sum(off**2)), max(int(good.sum()) - unknowns, 1)
+        for _ in range(STD_STEPS):
+            spread = float(np.sum(self._at(censoring.excess, predicted, std))) * std**2
+            beyond = self._at(censoring.expected, predicted, std) - predicted[self.rows]
+            before, std = std, math.sqrt((squares + float(beyond @ beyond) + spread) / count)
+            if abs(std - before) <= STD_SETTLED * std:
+                break
+        return std
 
     def information(self, problem: Problem, solution: Solution, noise: Noise) -> Array:
         """Share (m,) of its information that each sample of the rows keeps."""

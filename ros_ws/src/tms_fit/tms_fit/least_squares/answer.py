@@ -42,10 +42,12 @@ def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> 
     white = noise.std if isinstance(noise, White) else 0.0
     covariance = covariance + nuisance_covariance(problem, solution, noise.rows, white)
     predicted = problem.predicted(solution.values)
-    residual = window.measured - predicted
+    free = without_saturated(window)  # a rate of which only a limit is known leaves no residual
+    residual = free.measured - predicted
     innovations = noise.innovations(residual)
     autocorrelation = lag_one_autocorrelation(innovations)
-    degrees = degrees_of_freedom(problem)
+    degrees, count = degrees_of_freedom(problem), int(np.isfinite(window.measured).sum())
+    seen = degrees - (count - int(np.isfinite(residual).sum()))
     text = _in_words(choice, fitted, settings, autocorrelation)
     return Estimate(
         estimator=name,
@@ -55,9 +57,9 @@ def answer(name: str, choice: Choice, fitted: Fitted, settings: FitSettings) -> 
         values=solution.values,
         covariance=covariance,
         degrees_of_freedom=degrees,
-        residual_std=math.sqrt(float(np.nansum(residual**2)) / max(degrees, 1)),
-        vaf=variance_accounted_for(without_saturated(window), predicted),
-        sample_count=int(np.isfinite(residual).sum()),
+        residual_std=math.sqrt(float(np.nansum(residual**2)) / max(seen, 1)),
+        vaf=variance_accounted_for(free, predicted),
+        sample_count=count,
         residual_autocorrelation=autocorrelation,
         known={**_known(problem, solution), **problem.known},
         predicted=predicted,
