@@ -17,6 +17,7 @@ from tms_fit.joint.cross_validation import jackknife_std, lean_rate_vaf, leave_r
 from tms_fit.joint.free_responses import linearise, model_of, solve_jointly
 from tms_fit.joint.identifiability import identify
 from tms_fit.joint.problem import JointProblem, JointSolution, Run
+from tms_fit.joint.starts import with_free_starts
 from tms_fit.speed_curve import constant_speed
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, linear_system, load_bicycle, with_parameters
@@ -93,6 +94,31 @@ def test_changed_numbers_are_recovered_within_their_intervals(calibrations: list
     assert np.mean(np.abs(off) < 1.96) > 0.87
     assert np.abs(off).max() < 4.5
     assert all(one.solution.status == "ok" for one in calibrations)
+
+
+def test_what_a_start_that_is_not_upright_does_is_told(delft: Bicycle) -> None:
+    # Pushes of 0.2 s that end with lean and steer, all in the same proportion: their scatter shows nothing.
+    generator = np.random.default_rng(3)
+    upright = pushes(delft, TRUTH, generator, 6, 0.005, 0.0)
+    leaning = []
+    for run in upright:
+        rate = generator.uniform(0.4, 1.0)
+        own = {"initial_lean_rate": rate, "initial_lean": 0.13 * rate, "initial_steer_rate": -2.0 * rate}
+        rates = model_of(run.window, TRUTH).predict(own)[:, 0]
+        noise = coloured(generator, 0.005, 0.0, len(TIME))
+        leaning.append(replace(run, window=replace(run.window, lean_rate=rates + noise)))
+    truth = np.array(list(TRUTH.values()))
+    right, wrong = (calibrate(delft, runs, tuple(TRUTH), PRIORS) for runs in (upright, tuple(leaning)))
+    assert np.abs((wrong.values - truth) / wrong.std).max() > 5.0
+    told = with_free_starts(wrong)
+    assert told is not None
+    assert told.matter
+    assert "the intervals hold only if" in told.in_words
+    assert np.abs((told.values - truth) / told.std).max() < 4.0
+    same = with_free_starts(right)
+    assert same is not None
+    assert "the intervals hold only if" not in same.in_words or same.matter
+    assert np.abs((same.values - truth) / same.std).max() < 4.0
 
 
 def test_alike_residuals_count_less(calibrations: list[Calibration], delft: Bicycle) -> None:

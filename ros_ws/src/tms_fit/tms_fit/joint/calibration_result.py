@@ -21,6 +21,7 @@ from tms_fit.joint.cross_validation import (
 )
 from tms_fit.joint.identifiability import Identifiability, identify
 from tms_fit.joint.problem import Run
+from tms_fit.joint.starts import FreeStarts, with_free_starts
 from tms_fit.joint.together import Strike
 from tms_fit.joint.together_result import heterogeneity_json
 from tms_fit.speed_curve import constant_speed
@@ -41,6 +42,7 @@ class Judged:
     free: Identifiability  # of what was calibrated
     parameters: Identifiability | None  # of all parameters, each known within SHARE of its value
     entries: Identifiability  # of the entries of the matrices, likewise
+    starts: FreeStarts | None  # the numbers with each start's whole state free; None: not told apart
 
 
 def judge(calibration: Calibration, strikes: Sequence[Strike]) -> Judged:
@@ -61,6 +63,7 @@ def judge(calibration: Calibration, strikes: Sequence[Strike]) -> Judged:
         free=identify(calibration.solution.problem, found, priors),
         parameters=_all(calibration, PARAMETER_NAMES) if calibration.bicycle.parameters else None,
         entries=_all(calibration, MATRIX_ENTRIES),
+        starts=with_free_starts(calibration),
     )
 
 
@@ -115,6 +118,7 @@ def calibration_json(calibration: Calibration, strikes: Sequence[Strike], judged
         "noise": calibration.solution.problem.noise,
         "design_effect": calibration.design_effect,
         "degrees_of_freedom": calibration.degrees_of_freedom,
+        "free_starts": None if judged.starts is None else _starts_json(judged.starts),
         "identifiability": {
             "free": _identifiability_json(judged.free),
             "parameters": _identifiability_json(judged.parameters) if judged.parameters else None,
@@ -133,6 +137,18 @@ def calibration_json(calibration: Calibration, strikes: Sequence[Strike], judged
             for k, one in enumerate(strikes)
         ],
         "recordings": {name: _medians(strikes, judged, name) for name in _recordings(strikes)},
+    }
+
+
+def _starts_json(starts: FreeStarts) -> dict[str, Any]:
+    return {
+        "matter": starts.matter,
+        "parameters": {
+            name: {"value": float(value), "std": float(std), "moved": float(moved)}
+            for name, value, std, moved in zip(
+                starts.names, starts.values, starts.std, starts.moved, strict=True
+            )
+        },
     }
 
 
@@ -190,6 +206,8 @@ def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judge
             f"  {in_word(float(calibration.contraction[k])):14}"
             f"  Q {each.q:5.1f} of {each.count - 1}, p {each.p:.2g} ({calibration.prior_sources[name]} prior)"
         )
+    if judged.starts is not None:
+        lines.append(judged.starts.in_words)
     lines += _combinations(judged.free, "of these")
     if judged.parameters:
         lines += _combinations(judged.parameters, f"parameters, each known within {100 * SHARE:.0f} %")
