@@ -60,7 +60,10 @@ def _with_numbers(window: Window, values: Mapping[str, float]) -> Window:
 
 
 def _of_the_run(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if name in NONLINEAR}
+    """Those that aren't the bicycle's: a steer damper would count twice."""
+    return {
+        name: value for name, value in values.items() if name in NONLINEAR and name not in BICYCLE_NUMBERS
+    }
 
 
 @lru_cache(maxsize=32)  # the same for all windows of a step
@@ -109,7 +112,7 @@ def _start(window: Window, name: str) -> float:
         return -float(window.speed.coefficients[1]) / coasting_loss(window.bicycle)
     if name == "strike_time" and not window.delay:
         return -0.5 * window.longest_delay
-    if name in NONLINEAR:
+    if name in NONLINEAR and name not in BICYCLE_NUMBERS:
         return known_values(window).get(name, 0.0)
     return numbers_of(window.bicycle).get(name, 0.0)
 

@@ -24,7 +24,9 @@ from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, FitSettings, c
 from tms_fit.window import Window, without_saturated
 
 OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
-SHAREABLE = (*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS)
+SHAREABLE = tuple(
+    dict.fromkeys((*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS))
+)
 DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
 
 
