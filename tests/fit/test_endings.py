@@ -58,6 +58,16 @@ def test_without_a_speed_rates_that_stop_tell_of_hands() -> None:
     assert find_ending(TIME, rates(swinging(4.0 * TIME)), np.empty(0), np.empty(0)) is None
 
 
+@pytest.mark.parametrize("seed", [0, 2, 4, 7, 10])
+def test_a_bicycle_that_leans_on_evenly_after_a_strike_is_not_held(seed: int) -> None:
+    # A gyroscope tells no such rate of what stands still.
+    time, noise = TIME[:134], 0.02 * np.random.default_rng(seed).standard_normal((134, 2))
+    struck = np.where(time > 1.0, 0.33 - 0.25 * (time - 1.0), 0.0)
+    turning = 0.3 * np.maximum(time - 1.0, 0.0)
+    moved = np.stack([struck, turning], axis=1) + noise
+    assert find_ending(time, moved, np.empty(0), np.empty(0)) is None
+
+
 def test_a_lean_rate_that_adds_up_is_a_fall() -> None:
     ending = find_ending(TIME, rates(0.1 * np.exp(2.5 * TIME)), np.empty(0), np.empty(0))
     assert ending is not None

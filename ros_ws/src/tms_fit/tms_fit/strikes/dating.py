@@ -29,6 +29,7 @@ HARDLY = 0.05  # weight of a push's lengths that an impulse may have, where the 
 LITTLE = 0.05  # the same: where they leave more, something else may have turned the steering meanwhile
 SURE = 0.01  # [s], standard deviation of an end that takes the place of a push's peak
 SURELY = 3.0  # standard deviations
+AGREES = 1.0  # the same, between an end between two samples and that by the equations
 SHAKEN = 0.3  # [rad/s], standard deviation of the kicks that it then may have got
 
 
@@ -56,7 +57,14 @@ def dated(strike: Strike, window: Window, least: float) -> Strike | str:
         )
     if impulse.push_share > allowed or (shaken and impulse.end_std > (strike.end_std or SURE)):
         return strike
-    return _with_end(strike, impulse, window)
+    return strike if _agrees(strike, impulse, window) else _with_end(strike, impulse, window)
+
+
+def _agrees(strike: Strike, impulse: Impulse, window: Window) -> bool:
+    """Whether the detector has the end between two samples, and the equations don't exclude it there."""
+    first, last = ((when - window.first_ns) / NANOSECONDS for when in (strike.before_ns, strike.time_ns))
+    reach = AGREES * impulse.end_std
+    return strike.sharp and not impulse.sharp and first - reach < impulse.end < last + reach
 
 
 def surely_struck(strike: Strike, window: Window, least: float) -> bool:

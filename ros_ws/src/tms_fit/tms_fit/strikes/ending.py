@@ -30,6 +30,7 @@ LEAST_BEND = 0.1  # [rad/s]; held still: three times that
 OF_LARGEST = 0.3  # held still: least bend per largest; a fall bends the rates, too
 LEADS = np.array([-0.5, -0.15, 0.2, 0.55, 0.9])  # a line through five steps, 1.5 steps after the last of them
 STILL = 0.04  # [rad/s] about the mean, in the rates of a bicycle that is held, at least
+BIAS = 0.1  # [rad/s], more than a gyroscope tells of a bicycle that is held
 HELD = 0.25  # [s] that it takes to see that
 GRIP = 0.3  # [s] from the grip until nothing moves
 FALLEN = 1.0  # [rad] of lean within
@@ -98,10 +99,10 @@ def _held(grid: Array, rates: Array) -> Ending | None:
     for rate in rates[:, seen].T:
         tail = rate[grid > grid[-1] - HELD]
         tail = tail[np.isfinite(tail)]
-        if len(tail) < 4:
+        if len(tail) < 4 or abs(mean := float(np.median(tail))) > BIAS:
             return None
         limit = max(STILL, 4.0 * 1.4826 * float(np.median(np.abs(np.diff(tail)))) / np.sqrt(2.0))
-        moving |= np.abs(rate - float(np.median(tail))) > limit
+        moving |= np.abs(rate - mean) > limit
     last = np.flatnonzero(moving)
     if not len(last) or grid[-1] - grid[last[-1]] < HELD:
         return None
