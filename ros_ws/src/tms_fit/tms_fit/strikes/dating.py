@@ -29,7 +29,7 @@ HARDLY = 0.05  # weight of a push's lengths that an impulse may have, where the 
 LITTLE = 0.05  # the same: where they leave more, something else may have turned the steering meanwhile
 SURE = 0.01  # [s], standard deviation of an end that takes the place of a push's peak
 SURELY = 3.0  # standard deviations
-AGREES = 1.0  # the same, between an end between two samples and that by the equations
+AGREES = 2.0  # the same, between an end between two samples and that by the equations
 SHAKEN = 0.3  # [rad/s], standard deviation of the kicks that it then may have got
 
 
