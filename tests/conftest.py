@@ -6,6 +6,7 @@ import resource
 import runpy
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import pytest
@@ -62,9 +63,20 @@ def refused(command: Command) -> Callable[..., str]:
 
 
 @pytest.fixture
-def no_room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
-    """Files may grow to so many bytes, which fails as a full disk does; -1: as far as they like."""
+def no_room(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], AbstractContextManager[None]]:
+    """Within it, files may grow to so many bytes, and then fail as on a full disk.
+
+    Not until the test is over: pytest itself then writes, perhaps to a file.
+    """
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of modules that are imported meanwhile
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    @contextmanager
+    def limited(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,12 @@ COMMANDS = {
     "study campaign": ("tms_study", "campaign", "tms_strike", "--runs", "1", "-o", "{}.csv"),
 }
 ROOM = 10  # [bytes]
+NoRoom = Callable[[int], AbstractContextManager[None]]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_full_disk_is_one_line_and_leaves_nothing(
-    name: str, refused: Callable[..., str], command: Any, no_room: Callable[[int], None], tmp_path: Path
+    name: str, refused: Callable[..., str], command: Any, no_room: NoRoom, tmp_path: Path
 ) -> None:
     module, *arguments = COMMANDS[name]
     log = tmp_path / "log.csv"
@@ -46,37 +48,33 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
         assert command("tms_bag", "export", BAG, "-o", log).code == 0
     target = tmp_path / "made" / "it"
     target.parent.mkdir()
-    no_room(ROOM)
-    said = refused(module, *(str(one).format(target).replace("LOG", str(log)) for one in arguments))
+    with no_room(ROOM):
+        said = refused(module, *(str(one).format(target).replace("LOG", str(log)) for one in arguments))
     assert "File too large" in said
     assert str(target) in said
     assert list(target.parent.iterdir()) == []
 
 
-def test_a_validation_whose_disk_is_full_keeps_the_old_table(
-    no_room: Callable[[int], None], tmp_path: Path
-) -> None:
+def test_a_validation_whose_disk_is_full_keeps_the_old_table(no_room: NoRoom, tmp_path: Path) -> None:
     table = tmp_path / "validation.md"
     found = [Finding("white noise", "bias", 0.0, -1.0, 1.0, 5)]
     write_markdown(table, found, 1, True)
     before = table.read_text()
-    no_room(ROOM)
-    with pytest.raises(ParameterError, match="File too large"):
+    with no_room(ROOM), pytest.raises(ParameterError, match="File too large"):
         write_markdown(table, found * 2, 1, True)
     assert list(tmp_path.iterdir()) == [table]
     assert table.read_text() == before
 
 
-def test_a_campaign_goes_on_when_there_is_room_again(no_room: Callable[[int], None], tmp_path: Path) -> None:
+def test_a_campaign_goes_on_when_there_is_room_again(no_room: NoRoom, tmp_path: Path) -> None:
     path = tmp_path / "campaign.csv"
     campaign = Campaign("tms_strike", {}, {}, 2, 1, FitSettings())
     one, other = ([Row((), seed, 1, 1, "missed", *(0.1 * n for n in range(9)))] for seed in (1, 2))
     file = CampaignFile(path, campaign)
     file.add(one)
-    no_room(path.stat().st_size + 10)
-    with pytest.raises(RecordingError, match=r"File too large\); make room, and the same command goes on"):
+    goes_on = r"File too large\); make room, and the same command goes on"
+    with no_room(path.stat().st_size + 10), pytest.raises(RecordingError, match=goes_on):
         file.add(other)
-    no_room(-1)
     again = CampaignFile(path, campaign)
     assert again.rows == one
     again.add(other)

@@ -130,10 +130,9 @@ def test_a_bag_whose_disk_was_full_does_not_look_whole(tmp_path, no_room, preset
             if number % 500 == 499:
                 bag.writer.flush()
 
-    no_room(200_000)
-    with pytest.raises(OSError, match="File too large"):
+    with no_room(200_000), pytest.raises(OSError, match="File too large"):
         fill()
-    no_room(-1)  # somebody makes room
+    # Somebody makes room.
     with pytest.raises(OSError, match="File too large"):
         bag.close()
     assert not (tmp_path / "bag" / "metadata.yaml").exists()
