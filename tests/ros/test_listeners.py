@@ -15,8 +15,9 @@ TEXT, SPEED = "/text", "/bicycle/speed"
 
 
 def test_a_listener_that_is_held_up_is_waited_for(nodes: Any, participant: Any) -> None:
-    estimator = nodes.start("tms_fit", "estimator")
-    participant.reach("/estimator")
+    # By a name of its own: of two with one name, such as one just killed, ROS tells the services of one.
+    estimator = nodes.start("tms_fit", "estimator", "-r", "__node:=held_up")
+    participant.reach("/held_up")
     participant.spin_until(
         lambda: participant.get_subscriptions_info_by_topic(SPEED), "the estimator listens"
     )
