@@ -19,7 +19,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.alternation import FINEST
+from tms_fit.least_squares.alternation import only_rounding
 from tms_fit.least_squares.noise.autoregressive import remembers
 from tms_fit.settings import FitSettings
 from tms_fit.window import Window
@@ -60,9 +60,10 @@ def doubt(window: Window, settings: FitSettings, estimate: Estimate) -> Doubt | 
     """What makes an estimate doubtful; None where nothing does."""
     if estimate.status != "ok":
         return None
-    found = [one for one in (_beyond_range(window, settings),) if one]
-    if not _rounding(window, estimate):
-        found += [one for one in (_alike(window, settings, estimate), _impossible(settings, estimate)) if one]
+    reasons = [_beyond_range(window, settings)]
+    if not only_rounding(window.measured, estimate.residual):
+        reasons += [_alike(window, settings, estimate), _impossible(settings, estimate)]
+    found = [one for one in reasons if one]
     if not found:
         return None
     names = [one.parameter for one in found if one.parameter]
@@ -125,12 +126,6 @@ def _impossible(settings: FitSettings, estimate: Estimate) -> Doubt | None:
         return None
     worst = max(said, key=lambda name: said[name][0])
     return Doubt(worst, said[worst][1])
-
-
-def _rounding(window: Window, estimate: Estimate) -> bool:
-    """Whether the residuals are finer than any gyroscope's, as those of a sensor without noise."""
-    largest = np.nanmax(np.abs(window.measured), initial=0.0)
-    return bool(np.nanmax(np.abs(estimate.residual), initial=0.0) <= FINEST * largest)
 
 
 def _unexplained(estimate: Estimate) -> Array:

@@ -92,8 +92,13 @@ def _judged(problem: Problem, solution: Solution) -> bool:
     if solution.status == "not_observable":
         return False
     measured = problem.window.measured
-    largest = np.nanmax(np.abs(measured - problem.predicted(solution.values)), initial=0.0)
-    return bool(largest > FINEST * np.nanmax(np.abs(measured), initial=0.0))
+    return not only_rounding(measured, measured - problem.predicted(solution.values))
+
+
+def only_rounding(measured: Array, residual: Array) -> bool:
+    """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; (n, 2) [rad/s]."""
+    largest = np.nanmax(np.abs(measured), initial=0.0)
+    return bool(np.nanmax(np.abs(residual), initial=0.0) <= FINEST * largest)
 
 
 def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
