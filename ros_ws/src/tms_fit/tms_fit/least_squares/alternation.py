@@ -96,7 +96,7 @@ def _judged(problem: Problem, solution: Solution) -> bool:
 
 
 def only_rounding(measured: Array, residual: Array) -> bool:
-    """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; (n, 2) [rad/s]."""
+    """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; both (n, 2)."""
     largest = np.nanmax(np.abs(measured), initial=0.0)
     return bool(np.nanmax(np.abs(residual), initial=0.0) <= FINEST * largest)
 

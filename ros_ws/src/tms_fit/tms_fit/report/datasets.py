@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 from tms_bag.samples import StateSamples
@@ -107,12 +106,6 @@ def histogram(residual: Array, std: float) -> tuple[Columns, Columns]:
     normal = len(good) * width * np.exp(-0.5 * (at / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
     bars = {"low": column(edges[:-1]), "high": column(edges[1:]), "count": column(counts)}
     return bars, {"residual": column(at), "count": column(normal)}
-
-
-def with_feedback(bicycle: Bicycle, gain: float) -> Bicycle:
-    """The bicycle with a run's lean-rate feedback on the steer torque among its steer elements."""
-    own = bicycle.steer_elements
-    return replace(bicycle, steer_elements=replace(own, lean_rate_gain=own.lean_rate_gain + gain))
 
 
 def eigenvalues(bicycle: Bicycle, fastest: float) -> tuple[Columns, tuple[str, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tms_model import stability
+from tms_model import Bicycle, stability
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
@@ -11,7 +11,7 @@ from tms_fit.criticism.budget import error_budget
 from tms_fit.criticism.hypotheses import verdicts
 from tms_fit.criticism.residuals import criticise
 from tms_fit.criticism.stated_noise import stated_noise
-from tms_fit.least_squares.motion import motion
+from tms_fit.least_squares.motion import as_ridden, motion
 from tms_fit.offline import RecordingFit
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation
@@ -129,6 +129,10 @@ def _residual_charts(
     )
 
 
+def _ridden(fit: RecordingFit, both: Comparison) -> Bicycle:
+    return as_ridden(fit.bicycle, _gain(both), both.estimate.complete.get("steer_damper", 0.0))
+
+
 def _gain(both: Comparison) -> float:
     """Lean-rate feedback on the steer torque [N m s/rad], found or known."""
     return both.estimate.complete.get("lean_rate_gain", both.used.lean_rate_gain)
@@ -158,14 +162,14 @@ def _speed(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Column
     samples = datasets.speed_samples(fit, both.strike.start_ns, last)
     if samples is not None:
         data["speed"] = samples
-    bicycle = datasets.with_feedback(fit.bicycle, _gain(both))
+    bicycle = _ridden(fit, both)
     edges = [low for low, _ in stability(bicycle).stable_speed_ranges if low > 0.0]
     data["onset"] = {"speed": datasets.column(edges[:1])}
     return speed_chart(samples is not None, bool(edges), fit.recording.state is not None), data
 
 
 def _eigenvalues(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Columns]]:
-    bicycle = datasets.with_feedback(fit.bicycle, _gain(both))
+    bicycle = _ridden(fit, both)
     run_speeds = datasets.run_speeds(fit, both)
     curves, names = datasets.eigenvalues(bicycle, run_speeds["high"][0])
     gain = _gain(both)
