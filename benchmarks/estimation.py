@@ -15,11 +15,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.batch import fit_batch
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.least_squares.projection import Problem
 from tms_fit.least_squares.table import Table, tabulate
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.least_squares.varpro import Problem
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle
 from tms_model.exponential import expm
@@ -74,7 +74,7 @@ def compare(window: Window, table: Table, measured: Array, repeats: int) -> None
     """One run by each way, and many by ours."""
     time_s, one = window.time, measured[0]
     noisy = replace(window, lean_rate=one[:, 0], yaw_rate=one[:, 1])
-    settings = FitSettings(free=("initial_lean_rate", "speed"), noise="white")
+    settings = Settings(free=("initial_lean_rate", "speed"), noise="white")
     batch = f"tms_fit, {len(measured)} runs at once"
     start = FIRST[1:]
     timings = in_turn(
@@ -102,7 +102,7 @@ def compare(window: Window, table: Table, measured: Array, repeats: int) -> None
 
 def print_agreement(window: Window, table: Table, measured: Array) -> None:
     """By how much the ways differ, in standard errors."""
-    settings = FitSettings(free=("initial_lean_rate", "speed"), noise="white")
+    settings = Settings(free=("initial_lean_rate", "speed"), noise="white")
     best = fit_window(replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]), settings)
     found = {
         NAIVE: by_scipy(window.time, measured),

@@ -17,9 +17,9 @@ from tms_bag import Record, conversion, topics
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
 from tms_fit.kalman.running_filter import FilterStep
 from tms_fit.messages import filter_state_record
-from tms_fit.running.live import LiveFit
-from tms_fit.running.online import OnlineFit
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import LiveFit
+from tms_fit.streaming.online import OnlineFit
 from tms_model import discretise, linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes, quaternion
 
@@ -52,13 +52,13 @@ def print_costs(count: int, repeats: int, rate: int) -> None:
     """What a sample costs, and its parts."""
     quiet, struck = samples(count, 0.0, rate=rate), samples(count, 0.5, rate=rate)
     messages, swinging = encoded(quiet), encoded(struck)
-    steps = [one for one in fed(quiet, FitSettings()).results() if isinstance(one, FilterStep)]
+    steps = [one for one in fed(quiet, Settings()).results() if isinstance(one, FilterStep)]
     records = [Record("/" + topics.IMU, topics.TYPES[topics.IMU], 0, data) for kind, data in messages
                if kind == topics.IMU]  # fmt: skip
     ways = {
         "filterpy, predict, update, Mahalanobis": lambda: by_filterpy(quiet),
-        "OnlineFit, linear": lambda: fed(quiet, FitSettings()),
-        "OnlineFit, extended": lambda: fed(quiet, FitSettings(filter="extended")),
+        "OnlineFit, linear": lambda: fed(quiet, Settings()),
+        "OnlineFit, extended": lambda: fed(quiet, Settings(filter="extended")),
         "reading the messages": lambda: [conversion.imu_reading(record) for record in records],
         "writing the messages": lambda: [filter_state_record(step) for step in steps],
         "LiveFit, all of these, linear": lambda: taken(messages, 0.0),
@@ -86,7 +86,7 @@ def print_peaks(rate: int) -> None:
     for preview in (0.0, 0.25):
         spent = np.full(len(messages), np.inf)
         for _ in range(3):
-            fit = LiveFit(FitSettings(), preview_period=preview)
+            fit = LiveFit(Settings(), preview_period=preview)
             for row, (topic, data) in enumerate(messages):
                 start = time.thread_time()
                 fit.take(topic, data)
@@ -100,7 +100,7 @@ def print_peaks(rate: int) -> None:
 
 def print_memory(count: int) -> None:
     """Largest resident memory, and processor time for each sample, after each tenth of a stream."""
-    fit, rng, start_ns = LiveFit(FitSettings()), np.random.default_rng(1), SECOND
+    fit, rng, start_ns = LiveFit(Settings()), np.random.default_rng(1), SECOND
     (info,) = conversion.run_info_records(INFO)
     fit.take(topics.RUN_INFO, info.data)
     done, shown, spent, since = 0, 0, 0.0, 0
@@ -151,7 +151,7 @@ def encoded(imu: ImuSamples) -> list[tuple[str, bytes]]:
     return [(record.topic.removeprefix("/"), record.data) for record in (announced, *records)]
 
 
-def fed(imu: ImuSamples, settings: FitSettings) -> OnlineFit:
+def fed(imu: ImuSamples, settings: Settings) -> OnlineFit:
     """The fit after all samples, without messages."""
     online = OnlineFit(load_bicycle(INFO.bicycle), settings, quaternion(0.0, 0.0, 0.0), SPEED)
     for number, stamp in enumerate(imu.time_ns.tolist()):
@@ -163,7 +163,7 @@ def fed(imu: ImuSamples, settings: FitSettings) -> OnlineFit:
 
 def taken(messages: list[tuple[str, bytes]], preview_period: float) -> int:
     """Number of answers."""
-    fit = LiveFit(FitSettings(), preview_period=preview_period)
+    fit = LiveFit(Settings(), preview_period=preview_period)
     return sum(len(fit.take(topic, data)) for topic, data in messages)
 
 

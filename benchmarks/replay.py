@@ -19,8 +19,8 @@ from measure import print_machine
 from tms_bag import BagReader, BagWriter, conversion, topics
 from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
-from tms_fit.running.live import INPUTS, LiveFit
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 from tms_study.processes import own_domain
@@ -96,7 +96,7 @@ def write_strikes(path: Path, runs: int, duration: float) -> None:
 
 def answers(bag: Path) -> dict[str, list[bytes]]:
     """What the estimator says of a bag when it is given the messages in order, without ROS."""
-    live, found = LiveFit(FitSettings()), defaultdict(list)
+    live, found = LiveFit(Settings()), defaultdict(list)
     with BagReader(bag) as reader:
         said = [one for r in reader.records() for one in live.take(r.topic.removeprefix("/"), r.data)]
     for one in said + live.finish():

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from tms_bag import BagWriter, read_recording, topics
-from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import bicycle_of, fit_recording
+from tms_fit.settings import Settings
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 
@@ -22,7 +22,7 @@ with tempfile.TemporaryDirectory() as folder:
             bag.write(record, topics.QOS[record.topic.removeprefix("/")])
     recording = read_recording(path)
 
-fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+fit = fit_recording(recording, bicycle_of(recording, None), Settings())
 for strike in fit.strikes:
     for estimate in strike.estimates:
         low, high = estimate.ci95[0]

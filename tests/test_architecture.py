@@ -24,7 +24,8 @@ MAY_IMPORT = {
     "tms_bag": {"tms_model"},
     "tms_sim": {"tms_bag", "tms_model"},
     "tms_fit": {"tms_bag", "tms_model"},
-    "tms_study": {"tms_bag", "tms_fit", "tms_model", "tms_sim"},
+    "tms_calibrate": {"tms_bag", "tms_fit", "tms_model"},
+    "tms_study": {"tms_bag", "tms_calibrate", "tms_fit", "tms_model", "tms_sim"},
 }
 PACKAGES = sorted(MAY_IMPORT)
 MODULES = sorted(path for package in PACKAGES for path in (SOURCES / package / package).rglob("*.py"))

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from tms_bag import RecordingError
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
 from tms_model import ParameterError
 from tms_study.campaign import Campaign, Row
 from tms_study.campaign_file import CampaignFile
@@ -68,7 +68,7 @@ def test_a_validation_whose_disk_is_full_keeps_the_old_table(no_room: NoRoom, tm
 
 def test_a_campaign_goes_on_when_there_is_room_again(no_room: NoRoom, tmp_path: Path) -> None:
     path = tmp_path / "campaign.csv"
-    campaign = Campaign("tms_strike", {}, {}, 2, 1, FitSettings())
+    campaign = Campaign("tms_strike", {}, {}, 2, 1, Settings())
     one, other = ([Row((), seed, 1, 1, "missed", *(0.1 * n for n in range(9)))] for seed in (1, 2))
     file = CampaignFile(path, campaign)
     file.add(one)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.offline import feed
-from tms_fit.running.online import OnlineFit, StrikeFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import feed
+from tms_fit.settings import Settings
+from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_model import load_bicycle
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
@@ -31,12 +31,12 @@ def make_run() -> MakeRun:
 
 @pytest.fixture(scope="session")
 def fit_run() -> FitRun:
-    """Strikes of a run and their estimates; settings as those of FitSettings."""
+    """Strikes of a run and their estimates; settings as those of Settings."""
 
     def fit(run: SimulatedRun, **settings: Any) -> list[StrikeFit]:
         online = OnlineFit(
             load_bicycle(run.info.bicycle),
-            FitSettings(**settings),
+            Settings(**settings),
             run.info.imu_orientation,
             running_filter=False,
         )

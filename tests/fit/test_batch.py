@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.batch import fit_batch
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.least_squares.projection import Problem
 from tms_fit.least_squares.table import TOLERANCE, tabulate
-from tms_fit.settings import NONLINEAR, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.least_squares.varpro import Problem
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import NONLINEAR, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle
 
@@ -76,7 +76,7 @@ def test_a_batch_is_one_fit_after_the_other(case: str, missing: bool) -> None:
         for row, run in enumerate(runs[: len(several.values)]):
             alone = fit_window(
                 replace(window, lean_rate=run[:, 0], yaw_rate=run[:, 1]),
-                FitSettings(free=(*linear, *nonlinear), fixed=fixed, noise="white"),
+                Settings(free=(*linear, *nonlinear), fixed=fixed, noise="white"),
             )
             np.testing.assert_allclose((several.values[row] - alone.values) / alone.std, 0.0, atol=1e-5)
             np.testing.assert_allclose(several.std[row], alone.std, rtol=1e-5)

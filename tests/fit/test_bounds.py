@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.least_squares.projection import Problem, Solution, solve
-from tms_fit.speed_curve import constant_speed
+from tms_fit.least_squares.varpro import Problem, Solution, solve
+from tms_fit.response.prediction import predictor
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 

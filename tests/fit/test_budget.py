@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tms_fit.criticism.budget import error_budget
+from tms_fit.diagnostics.error_budget import error_budget
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.settings import DEFAULT_FREE, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 
-SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore")
+SETTINGS = Settings(free=DEFAULT_FREE, steer_torque="ignore")
 
 
 def window_of(name: str, speed: float, **changes: float) -> Window:

@@ -13,19 +13,19 @@ import pytest
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
 from tms_bag import read_recording
-from tms_fit.criticism.hypotheses import _no_slip, impulse_ratio, verdicts
-from tms_fit.criticism.residuals import criticise, fisher_g, fit_percent, ljung_box, nis_band
-from tms_fit.criticism.stated_noise import StatedNoise, stated_noise
+from tms_fit.diagnostics.hypothesis_tests import _no_slip, impulse_ratio, run_hypothesis_tests
+from tms_fit.diagnostics.residual_tests import diagnose_residuals, fisher_g, fit_percent, ljung_box, nis_band
+from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.settings import CHANNELS, DEFAULT_FREE, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import CHANNELS, DEFAULT_FREE, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.steer_elements import SteerElements
 
 BAGS = Path(__file__).parents[2] / "bags"
-SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore")
+SETTINGS = Settings(free=DEFAULT_FREE, steer_torque="ignore")
 
 
 def made(
@@ -95,7 +95,7 @@ def test_nothing_speaks_against_the_right_model() -> None:
     alarms = 0
     for seed in range(60):
         window = made(seed)
-        found = criticise(
+        found = diagnose_residuals(
             window, fit_window(window, SETTINGS), StatedNoise(dict.fromkeys(CHANNELS, 0.02), "noise_std")
         )
         assert len(found.tests) == 8
@@ -107,12 +107,12 @@ def test_reduced_chi_square_is_one_where_the_noise_is_as_stated() -> None:
     # 120 runs of some 150 squares each: their mean is 1 within 0.0105.
     stated = StatedNoise({"lean_rate": 0.02, "yaw_rate": 0.02}, "noise_std")
     found = [
-        criticise(made(seed), fit_window(made(seed), SETTINGS), stated).reduced_chi_square
+        diagnose_residuals(made(seed), fit_window(made(seed), SETTINGS), stated).reduced_chi_square
         for seed in range(120)
     ]
     for channel in CHANNELS:
         assert np.mean([one[channel] for one in found]) == pytest.approx(1.0, abs=0.03)
-    quiet = criticise(made(3), fit_window(made(3), SETTINGS))
+    quiet = diagnose_residuals(made(3), fit_window(made(3), SETTINGS))
     assert quiet.reduced_chi_square == {}
     assert "not stated" in quiet.size
 
@@ -128,12 +128,12 @@ def test_the_stated_noise_is_that_of_the_axes_that_enter() -> None:
         ),
         imu=replace(recording.imu, angular_velocity_variance=np.array([np.nan, 0.01**2, 0.03**2])),
     )
-    found = stated_noise(turned, FitSettings())
+    found = stated_noise(turned, Settings())
     assert found is not None
     assert found.std == pytest.approx({"lean_rate": 0.01, "yaw_rate": 0.03})
     unknown = replace(recording, imu=replace(recording.imu, angular_velocity_variance=np.full(3, np.nan)))
-    assert stated_noise(unknown, FitSettings()) is None
-    assert stated_noise(unknown, FitSettings(noise_std=0.5)) == StatedNoise(
+    assert stated_noise(unknown, Settings()) is None
+    assert stated_noise(unknown, Settings(noise_std=0.5)) == StatedNoise(
         {"lean_rate": 0.5, "yaw_rate": 0.5}, "noise_std"
     )
 
@@ -161,16 +161,16 @@ def test_each_flaw_is_named() -> None:
     wave = replace(window, yaw_rate=window.yaw_rate + 0.08 * np.sin(2.0 * np.pi * 20.0 * window.time))
     # Under white noise: an autoregressive process would take the shimmy for noise, as it should.
     estimate = fit_window(wave, replace(SETTINGS, noise="white"))
-    found = criticise(wave, estimate)
+    found = diagnose_residuals(wave, estimate)
     assert any("a shimmy of 19.9 Hz" in t.sentence or "a shimmy of 20" in t.sentence for t in found.tests)
     assert "shimmy" in found.verdict
-    loud = criticise(
+    loud = diagnose_residuals(
         window, fit_window(window, SETTINGS), StatedNoise(dict.fromkeys(CHANNELS, 0.01), "noise_std")
     )
     assert {test.name for test in loud.tests if not test.passed} == {"chi_square"}
     spikes = window.lean_rate.copy()
     spikes[::30] += 0.3
-    spiked = criticise(window, fit_window(replace(window, lean_rate=spikes), SETTINGS))
+    spiked = diagnose_residuals(window, fit_window(replace(window, lean_rate=spikes), SETTINGS))
     assert any(test.name == "normality" and not test.passed for test in spiked.tests)
 
 
@@ -178,7 +178,7 @@ def test_the_right_model_is_seldom_rejected() -> None:
     # 20 runs, 6 true hypotheses: 0.12 rejections at 1e-3 are expected, 3 or more come once in 4000.
     rejected = 0
     for seed in range(20):
-        for verdict in verdicts(made(seed), SETTINGS):
+        for verdict in run_hypothesis_tests(made(seed), SETTINGS):
             if not verdict.hypothesis.startswith("the steer rate of a roll impulse"):
                 rejected += verdict.rejected
     assert rejected < 3
@@ -189,7 +189,8 @@ def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
     ratio = impulse_ratio(bicycle)
     assert ratio == pytest.approx(-2.03, abs=0.005)  # published beside Eq. (10.1)'s matrices
     told = {
-        verdict.hypothesis: verdict for verdict in verdicts(made(5, (0.0, 0.0, 0.5, 0.5 * ratio)), SETTINGS)
+        verdict.hypothesis: verdict
+        for verdict in run_hypothesis_tests(made(5, (0.0, 0.0, 0.5, 0.5 * ratio)), SETTINGS)
     }
     assert told["no steer rate at the start"].rejected
     assert told["no steer rate at the start"].delta_bic < -10.0
@@ -197,25 +198,33 @@ def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
     (impulse,) = (one for name, one in told.items() if name.startswith("the steer rate of a roll impulse"))
     assert not impulse.rejected
     assert impulse.delta_aic == pytest.approx(2.0 - impulse.statistic**2, abs=0.05)
-    (other,) = (v for v in verdicts(made(5), SETTINGS) if v.hypothesis.startswith("the steer rate of a roll"))
+    (other,) = (
+        v
+        for v in run_hypothesis_tests(made(5), SETTINGS)
+        if v.hypothesis.startswith("the steer rate of a roll")
+    )
     assert other.rejected
     assert other.delta_bic < -10.0
 
 
 def test_steering_that_is_damped_more_than_the_bicycle_says_is_told() -> None:
     damped = made(5, steer_damper=0.005)
-    (told,) = (v for v in verdicts(damped, SETTINGS) if v.parameter == "steer_damper")
+    (told,) = (v for v in run_hypothesis_tests(damped, SETTINGS) if v.parameter == "steer_damper")
     assert told.rejected
     assert abs(told.value - 0.005) < 3.0 * told.std
     assert told.hypothesis == "no more steer damping than the bicycle has"
-    (quiet,) = (v for v in verdicts(made(5), SETTINGS) if v.parameter == "steer_damper")
+    (quiet,) = (v for v in run_hypothesis_tests(made(5), SETTINGS) if v.parameter == "steer_damper")
     assert not quiet.rejected
 
 
 def test_information_criteria_of_a_constraint_are_those_of_the_fit_under_it() -> None:
     # The steer rate of an impulse is one linear constraint; by hand: one column, both together.
     window, bicycle = replace(made(5), speed=constant_speed(3.6)), load_bicycle("tms_eq_10_1")
-    (told,) = (v for v in verdicts(window, SETTINGS) if v.hypothesis.startswith("the steer rate of a roll"))
+    (told,) = (
+        v
+        for v in run_hypothesis_tests(window, SETTINGS)
+        if v.hypothesis.startswith("the steer rate of a roll")
+    )
     free = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias", "yaw_rate_bias")
     matrix = predictor(window).select(free).reshape(-1, 4)
     together = np.column_stack([matrix[:, 0] + impulse_ratio(bicycle) * matrix[:, 1], matrix[:, 2:]])
@@ -231,7 +240,7 @@ def test_information_criteria_of_a_constraint_are_those_of_the_fit_under_it() ->
 def test_a_slip_at_the_start_is_seen() -> None:
     window = made(6)
     slipping = replace(window, yaw_rate=window.yaw_rate - 0.3 * np.exp(-window.time / 0.05))
-    (slip,) = (v for v in verdicts(slipping, SETTINGS) if v.parameter == "slip")
+    (slip,) = (v for v in run_hypothesis_tests(slipping, SETTINGS) if v.parameter == "slip")
     assert slip.rejected
     assert slip.value == pytest.approx(0.3 * math.sqrt(0.05 / 2.0 / 0.4), rel=0.5)  # its mean square by hand
 

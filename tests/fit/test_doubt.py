@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tms_fit.criticism.doubt import doubt
+from tms_fit.diagnostics.misspecification import doubt
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.censoring import saturated
-from tms_fit.least_squares.noise import oscillator
-from tms_fit.settings import FitSettings
+from tms_fit.noise import oscillator
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 from tms_study import trials
 
-SETTINGS = FitSettings(steer_torque="ignore", estimators=("least_squares",))
+SETTINGS = Settings(steer_torque="ignore", estimators=("least_squares",))
 
 
 def noisy(values: dict[str, float], seed: int = 1) -> Window:
@@ -33,14 +33,14 @@ def test_a_bias_that_no_gyroscope_has_is_doubted(name: str) -> None:
     assert found.sentence.startswith(f"doubtful: {name} -0.1")
     assert "a gyroscope's bias" in found.sentence
     # Who says that this gyroscope is that far off is believed, and a bias that one may have is no matter.
-    stated = FitSettings(steer_torque="ignore", priors={name: (-0.1, 0.05)})
+    stated = Settings(steer_torque="ignore", priors={name: (-0.1, 0.05)})
     assert doubt(window, stated, fit_window(window, stated)) is None
     usual = noisy({name: 0.03})
     assert doubt(usual, SETTINGS, fit_window(usual, SETTINGS)) is None
 
 
 def test_an_angle_beyond_small_ones_is_doubted() -> None:
-    free = FitSettings(
+    free = Settings(
         steer_torque="ignore",
         noise="white",
         free=("initial_lean_rate", "initial_lean", "lean_rate_bias", "yaw_rate_bias"),
@@ -55,7 +55,7 @@ def test_an_angle_beyond_small_ones_is_doubted() -> None:
 def test_readings_beyond_a_stated_range_are_doubted(how: str) -> None:
     largest = float(np.abs(noisy({}).measured).max())
     for part, said in ((0.4, True), (1.5, False)):
-        settings = FitSettings(
+        settings = Settings(
             steer_torque="ignore", noise="white", saturation=how, gyroscope_range=part * largest
         )
         window = noisy({})
@@ -67,7 +67,7 @@ def test_readings_beyond_a_stated_range_are_doubted(how: str) -> None:
     # Readings at the limit are clipped: nothing to doubt.
     clipped = np.clip(noisy({}).measured, -0.7 * largest, 0.7 * largest)
     window = replace(trials.with_rates(noisy({}), clipped), saturated=saturated(clipped, 0.7 * largest))
-    settings = FitSettings(
+    settings = Settings(
         steer_torque="ignore", noise="white", saturation="censor", gyroscope_range=0.7 * largest
     )
     assert doubt(window, settings, fit_window(window, settings)) is None

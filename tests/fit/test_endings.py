@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.strikes.ending import find_ending
+from tms_fit.strikes.window_end import find_window_end
 
 TIME = np.arange(200) / 100.0
 SPEED_TIME = np.arange(100) / 50.0
@@ -26,12 +26,12 @@ def swinging(time: np.ndarray) -> np.ndarray:
 def test_rolling_ends_nothing(slowing: float) -> None:
     # 1.3 m/s^2: hall 1, from 3.6 to 1 m/s.
     speed = 3.6 - slowing * SPEED_TIME + 0.01 * np.random.default_rng(1).standard_normal(len(SPEED_TIME))
-    assert find_ending(TIME, rates(swinging(TIME)), SPEED_TIME, speed) is None
+    assert find_window_end(TIME, rates(swinging(TIME)), SPEED_TIME, speed) is None
 
 
 def test_a_sensor_that_says_zero_for_a_moment_ends_nothing() -> None:
     speed = np.where((SPEED_TIME > 1.0) & (SPEED_TIME < 1.2), 0.0, 3.6)
-    assert find_ending(TIME, rates(swinging(TIME)), SPEED_TIME, speed) is None
+    assert find_window_end(TIME, rates(swinging(TIME)), SPEED_TIME, speed) is None
 
 
 @pytest.mark.parametrize("lasts", [0.3, 0.5, 1.0])
@@ -40,7 +40,7 @@ def test_a_speed_that_collapses_is_a_catch_dated_by_the_rates(lasts: float) -> N
     s = np.clip((SPEED_TIME - 1.0) / lasts, 0.0, 1.0)
     speed = 3.0 * (1.0 - (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5))
     grip = np.where((TIME > 1.0) & (TIME < 1.15), 2.0 * np.sin(np.pi * (TIME - 1.0) / 0.15), 0.0)
-    ending = find_ending(TIME, rates(np.where(TIME > 1.0, grip, swinging(TIME))), SPEED_TIME, speed)
+    ending = find_window_end(TIME, rates(np.where(TIME > 1.0, grip, swinging(TIME))), SPEED_TIME, speed)
     assert ending is not None
     assert ending.kind == "caught"
     assert 0.97 <= ending.time <= 1.01
@@ -50,12 +50,12 @@ def test_a_speed_that_collapses_is_a_catch_dated_by_the_rates(lasts: float) -> N
 def test_without_a_speed_rates_that_stop_tell_of_hands() -> None:
     grip = np.where((TIME > 1.0) & (TIME < 1.15), 2.0 * np.sin(np.pi * (TIME - 1.0) / 0.15), 0.0)
     held = rates(np.where(TIME > 1.0, grip, swinging(TIME)))
-    ending = find_ending(TIME, held, np.empty(0), np.empty(0))
+    ending = find_window_end(TIME, held, np.empty(0), np.empty(0))
     assert ending is not None
     assert ending.kind == "held"
     assert 0.97 <= ending.time <= 1.01
     # A response that has died down by itself isn't held.
-    assert find_ending(TIME, rates(swinging(4.0 * TIME)), np.empty(0), np.empty(0)) is None
+    assert find_window_end(TIME, rates(swinging(4.0 * TIME)), np.empty(0), np.empty(0)) is None
 
 
 @pytest.mark.parametrize("seed", [0, 2, 4, 7, 10])
@@ -65,11 +65,11 @@ def test_a_bicycle_that_leans_on_evenly_after_a_strike_is_not_held(seed: int) ->
     struck = np.where(time > 1.0, 0.33 - 0.25 * (time - 1.0), 0.0)
     turning = 0.3 * np.maximum(time - 1.0, 0.0)
     moved = np.stack([struck, turning], axis=1) + noise
-    assert find_ending(time, moved, np.empty(0), np.empty(0)) is None
+    assert find_window_end(time, moved, np.empty(0), np.empty(0)) is None
 
 
 def test_a_lean_rate_that_adds_up_is_a_fall() -> None:
-    ending = find_ending(TIME, rates(0.1 * np.exp(2.5 * TIME)), np.empty(0), np.empty(0))
+    ending = find_window_end(TIME, rates(0.1 * np.exp(2.5 * TIME)), np.empty(0), np.empty(0))
     assert ending is not None
     assert ending.kind == "fallen"
     # The lean of the last second reaches a radian: 0.04 (exp(2.5 t) - exp(2.5 (t - 1))) = 1 at t = 1.32 s.

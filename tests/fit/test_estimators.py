@@ -13,10 +13,10 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp, trapezoid
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
-from tms_fit.least_squares.answer import variance_accounted_for
-from tms_fit.least_squares.projection import Problem
-from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.least_squares.make_estimate import variance_accounted_for
+from tms_fit.least_squares.varpro import Problem
+from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, response, yaw_rate
 
@@ -70,8 +70,8 @@ def made_window(
     )
 
 
-def settings(free: tuple[str, ...], fixed: dict[str, float] | None = None) -> FitSettings:
-    return FitSettings(free=free, fixed=fixed or {}, noise="white")
+def settings(free: tuple[str, ...], fixed: dict[str, float] | None = None) -> Settings:
+    return Settings(free=free, fixed=fixed or {}, noise="white")
 
 
 def assert_same(one: Estimate, other: Estimate, precision: float) -> None:
@@ -319,7 +319,7 @@ def test_a_kick_does_not_misdate_the_strike() -> None:
         window = made_window(truth, noise=0.02, delay=0.005, seed=seed)
         upright = least_squares.refine_start(window, settings(DEFAULT_FREE), 0.01)
         assert upright.delay - 0.005 > 5.0 * upright.delay_std
-        free = least_squares.refine_start(window, FitSettings(), 0.01)
+        free = least_squares.refine_start(window, Settings(), 0.01)
         assert free.delay == pytest.approx(0.005, abs=0.001)
         assert free.delay_std == pytest.approx(0.01 / math.sqrt(12.0), rel=0.05)
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.least_squares.even_steps import even_transitions
-from tms_fit.least_squares.motion import motion
-from tms_fit.least_squares.prediction import predictor
+from tms_fit.response.discretization import discretize
+from tms_fit.response.even_steps import even_transitions
+from tms_fit.response.prediction import predictor
 from tms_fit.settings import INITIAL
 from tms_model import ParameterError, bicycle_names, load_bicycle
 from tms_model.varying_speed import varying_response, varying_system, varying_yaw_rate
@@ -59,7 +59,7 @@ def test_predictions_are_those_of_one_step_after_the_other(
         yaw_rate=window.yaw_rate[rows],
         delay=delay,
     )
-    moved = motion(window, LOSS)
+    moved = discretize(window, LOSS)
     times = np.append(-delay, window.time) if delay else window.time
     speeds = np.append(5.0, moved.speeds) if delay else moved.speeds
     system = varying_system(window.bicycle, times, speeds)

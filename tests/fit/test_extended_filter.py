@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 import scipy.linalg
 from tms_fit.kalman.coasting import MAX_STEP, Coasting
-from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, FirstGuess, Wandering
+from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, InitialState, ProcessNoise
 from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
-from tms_fit.kalman.transitions import Transitions
-from tms_fit.running.online import OnlineFit
-from tms_fit.settings import FitSettings
+from tms_fit.kalman.transitions import TransitionCache
+from tms_fit.settings import Settings
+from tms_fit.streaming.online import OnlineFit
 from tms_model import ParameterError, bicycle_names, linear_system, load_bicycle
 from tms_model.varying_speed import varying_system
 
 NOISE = 0.02  # [rad/s]
 STEP_NS = 10_000_000
 UNKNOWN = np.full(3, np.nan)
-STILL = Wandering(ACCELERATION_NOISE, bias=0.0, speed=0.0, rolling_resistance=0.0)
-CERTAIN = FirstGuess(bias_std=0.0, speed_share=0.0, rolling_resistance=0.0, rolling_resistance_std=0.0)
+STILL = ProcessNoise(ACCELERATION_NOISE, bias=0.0, speed=0.0, rolling_resistance=0.0)
+CERTAIN = InitialState(bias_std=0.0, speed_share=0.0, rolling_resistance=0.0, rolling_resistance_std=0.0)
 
 
 @pytest.mark.parametrize("name", bicycle_names())
@@ -101,8 +101,8 @@ def drawn(seed: int, count: int = 80) -> tuple[np.ndarray, FilterStep]:
     """True states (8,) of a coasting bicycle, drawn from what the filter expects, and its last step."""
     rng, first, wandering = (
         np.random.default_rng(seed),
-        FirstGuess(strike_std=(0.02, 0.02, 0.3, 1.0)),
-        Wandering(),
+        InitialState(strike_std=(0.02, 0.02, 0.3, 1.0)),
+        ProcessNoise(),
     )
     bicycle = load_bicycle("tms_eq_10_1")
     coasting, running = Coasting(bicycle), ExtendedFilter(bicycle, NOISE, first, wandering)
@@ -115,7 +115,7 @@ def drawn(seed: int, count: int = 80) -> tuple[np.ndarray, FilterStep]:
         if k:
             taken = coasting.step(STEP_NS / 1e9, truth[SPEED], truth[RESISTANCE])
             phi = taken.transition[:4, :4]
-            process = Transitions(bicycle, density).at(truth[SPEED], STEP_NS / 1e9)[2]
+            process = TransitionCache(bicycle, density).at(truth[SPEED], STEP_NS / 1e9)[2]
             truth[:4] = phi @ truth[:4] + np.linalg.cholesky(process) @ rng.standard_normal(4)
             truth[SPEED] = taken.speed
             truth[4:] += np.sqrt(STEP_NS / 1e9) * np.array(wander) * rng.standard_normal(4)
@@ -148,7 +148,7 @@ def coasting_run(make_run: Any, seed: int, **changes: Any) -> Any:
 def followed(
     run: Any, stated_speed: float, with_speed: bool, **settings: Any
 ) -> tuple[OnlineFit, list[FilterStep]]:
-    wanted = FitSettings(filter="extended", **settings)
+    wanted = Settings(filter="extended", **settings)
     online = OnlineFit(load_bicycle("tms_eq_10_1"), wanted, run.info.imu_orientation, stated_speed)
     if with_speed:
         for stamp, speed in zip(run.speed.time_ns.tolist(), run.speed.speed.tolist(), strict=True):
@@ -178,7 +178,7 @@ def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_ru
         _, steps = followed(run, 4.6 * (1.1 if seed % 2 else 0.9), with_speed=False)
         error, std = slow_errors(run, steps[-1])
         assert std[0] < 0.6 * 0.46
-        assert std[1] < 0.5 * FirstGuess().rolling_resistance_std
+        assert std[1] < 0.5 * InitialState().rolling_resistance_std
         assert steps[-1].speed == steps[-1].slow[2]  # type: ignore[index]
         scaled.append(error / std)
     assert np.mean(np.square(scaled)) < 1.71
@@ -252,6 +252,6 @@ def test_what_is_fixed_is_known(make_run: Any) -> None:
 
 def test_unknown_filters_are_refused() -> None:
     with pytest.raises(ParameterError, match="filter: unknown 'unscented'; expected of linear, extended"):
-        FitSettings(filter="unscented")
+        Settings(filter="unscented")
     with pytest.raises(ParameterError, match="gyroscope range: expected a positive"):
-        FitSettings(gyroscope_range=-1.0)
+        Settings(gyroscope_range=-1.0)

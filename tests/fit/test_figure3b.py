@@ -14,8 +14,8 @@ from tms_bag import BagWriter, RecordingError, read_recording
 from tms_fit.comparison import comparison
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.figure3b import figure_3b
-from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 from tms_model import LinearSystem, linear_system, response, yaw_rate
 
@@ -34,7 +34,7 @@ def fitted(make_run: Any, tmp_path: Path) -> Any:
             for record in run.records():
                 bag.write(record)
         recording = read_recording(tmp_path / "bag")
-        settings = FitSettings(free=free, estimators=("least_squares",))
+        settings = Settings(free=free, estimators=("least_squares",))
         return fit_recording(recording, bicycle_of(recording, None), settings)
 
     return fit
@@ -126,7 +126,7 @@ def test_what_is_shown_is_what_was_fitted(
             bag.write(record)
     recording = read_recording(tmp_path / "bag")
     both = comparison(
-        fit_recording(recording, bicycle_of(recording, None), FitSettings(estimators=(estimator,)))
+        fit_recording(recording, bicycle_of(recording, None), Settings(estimators=(estimator,)))
     )
     count = len(both.estimate.predicted)
     assert count > 100

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tms_calibrate.pooled_fit import SHAREABLE
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.joint.together import SHAREABLE
-from tms_fit.least_squares.friction import SMOOTH
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.settings import FRICTION, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.response.friction import SMOOTH
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import FRICTION, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, load_bicycle
 from tms_model.response import state_matrix, yaw_row
@@ -91,7 +91,7 @@ def test_it_is_found_within_its_standard_error() -> None:
     # Truth by the general integrator, friction ten times as sharp; 15 or less of 20 come once in 400.
     rng, time = np.random.default_rng(12), np.arange(150) * 0.01
     clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.05, 0.1 * SMOOTH)
-    settings = FitSettings(free=("initial_lean_rate", "initial_steer_rate", FRICTION))
+    settings = Settings(free=("initial_lean_rate", "initial_steer_rate", FRICTION))
     scores, held = [], []
     for _ in range(20):
         answer = fit_window(window_of(clean + 0.02 * rng.standard_normal(clean.shape), time), settings)
@@ -109,11 +109,11 @@ def test_fixed_and_with_a_prior() -> None:
     rng, time = np.random.default_rng(13), np.arange(150) * 0.01
     clean = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, SMOOTH)
     window = window_of(clean + 0.02 * rng.standard_normal(clean.shape), time)
-    wrong = fit_window(window, FitSettings(free=("initial_lean_rate",)))
-    right = fit_window(window, FitSettings(free=("initial_lean_rate",), fixed={FRICTION: 0.1}))
+    wrong = fit_window(window, Settings(free=("initial_lean_rate",)))
+    right = fit_window(window, Settings(free=("initial_lean_rate",), fixed={FRICTION: 0.1}))
     assert right.residual_std < 0.022 < wrong.residual_std
     assert abs(right.values[0] - 0.5) < 3.0 * right.std[0]
-    asked = FitSettings(
+    asked = Settings(
         free=("initial_lean_rate", FRICTION), priors={FRICTION: (0.08, 1e-6)}, noise="white", loss="squares"
     )
     held = fit_window(window, asked)
@@ -125,7 +125,7 @@ def test_none_is_found_where_there_is_none() -> None:
     rng, time = np.random.default_rng(14), np.arange(150) * 0.01
     clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.0, SMOOTH)
     window = window_of(clean + 0.02 * rng.standard_normal(clean.shape), time)
-    answer = fit_window(window, FitSettings(free=("initial_lean_rate", "initial_steer_rate", FRICTION)))
+    answer = fit_window(window, Settings(free=("initial_lean_rate", "initial_steer_rate", FRICTION)))
     assert answer.parameters[FRICTION] >= 0.0
     assert answer.parameters[FRICTION] < 3.0 * answer.std[2]
 
@@ -135,11 +135,11 @@ def test_every_estimator_takes_it_or_leaves_it(name: str) -> None:
     time = np.arange(150) * 0.01
     rates = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, SMOOTH)
     noise = 0.02 * np.random.default_rng(15).standard_normal(rates.shape)
-    answer = ESTIMATORS[name](window_of(rates + noise, time), FitSettings(fixed={FRICTION: 0.1}))
+    answer = ESTIMATORS[name](window_of(rates + noise, time), Settings(fixed={FRICTION: 0.1}))
     assert answer.status == "ok"
 
 
 def test_it_can_not_push() -> None:
     with pytest.raises(ParameterError, match="expected 0 N m or more"):
-        FitSettings(fixed={FRICTION: -0.1})
+        Settings(fixed={FRICTION: -0.1})
     assert FRICTION not in SHAREABLE

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.offline import feed
-from tms_fit.running.online import OnlineFit, StrikeFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import feed
+from tms_fit.settings import Settings
+from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_fit.strikes.impulse import fit_impulse
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes, quaternion
@@ -87,7 +87,7 @@ def ridden(rates: np.ndarray, time: np.ndarray, seed: int) -> OnlineFit:
     rng = np.random.default_rng(seed)
     body = np.stack([rates[:, 0], np.zeros(len(time)), rates[:, 1]], axis=1)
     readings = flip_axes(body) + NOISE * rng.standard_normal(body.shape)
-    online = OnlineFit(BICYCLE, FitSettings(estimators=("least_squares",), noise="white"), LEVEL, 3.6, False)
+    online = OnlineFit(BICYCLE, Settings(estimators=("least_squares",), noise="white"), LEVEL, 3.6, False)
     for stamp, reading in zip(np.round(1e9 * time).astype(np.int64).tolist(), readings, strict=True):
         online.add_imu(stamp, reading, np.full(3, np.nan))
     online.finish()
@@ -136,7 +136,7 @@ def test_real_pushes_stay_pushes(make_run: Any) -> None:
     run = make_run("delft_push", strike__time=2.0, strike__duration=0.2, strike__lean_rate=-0.8)
     online = OnlineFit(
         load_bicycle(run.info.bicycle),
-        FitSettings(estimators=("least_squares",), noise="white"),
+        Settings(estimators=("least_squares",), noise="white"),
         run.info.imu_orientation,
         run.info.speed,
         running_filter=False,

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.intervals import profile, with_intervals
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.settings import FitSettings
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 
@@ -26,7 +26,7 @@ def window(make_run: Any, fit_run: Any) -> Window:
 
 def estimates(window: Window, **settings: Any) -> tuple[Estimate, Estimate]:
     """By the covariance, and by the way asked for."""
-    asked = FitSettings(window=4.0, **settings)
+    asked = Settings(window=4.0, **settings)
     plain = fit_window(window, asked)
     assert plain.status == "ok"
     return plain, with_intervals(window, plain, asked)
@@ -48,7 +48,7 @@ def test_profile_of_the_speed_is_where_brute_force_finds_it(window: Window) -> N
         yaw_rate=window.yaw_rate[:40],
         delay_std=0.0,
     )
-    settings = FitSettings(free=("initial_lean_rate", "speed"), noise="white", intervals="profile")
+    settings = Settings(free=("initial_lean_rate", "speed"), noise="white", intervals="profile")
     plain = fit_window(short, settings)
     (low, high) = with_intervals(short, plain, settings).ci95[1]
     speed, std = plain.values[1], plain.std[1]
@@ -69,7 +69,7 @@ def test_profile_of_the_speed_is_where_brute_force_finds_it(window: Window) -> N
 
 
 def test_a_profile_is_a_curve_through_zero(window: Window) -> None:
-    settings = FitSettings(window=4.0, noise="white", free=("initial_lean_rate", "speed"))
+    settings = Settings(window=4.0, noise="white", free=("initial_lean_rate", "speed"))
     plain = fit_window(window, settings)
     curve = profile(window, plain, settings, "speed")
     assert (np.diff(curve.values) > 0.0).all()
@@ -103,7 +103,7 @@ def test_how_often_intervals_hold_the_truth(
     rows = window.time <= seconds
     short = replace(window, time=window.time[rows], lean_rate=window.lean_rate[rows], delay_std=0.0)
     short = replace(short, yaw_rate=window.yaw_rate[rows])
-    settings = FitSettings(window=seconds, noise="white", intervals=method)
+    settings = Settings(window=seconds, noise="white", intervals=method)
     true = predictor(short, {}).predict({"initial_lean_rate": 0.5})
     inside = 0
     for _ in range(100):

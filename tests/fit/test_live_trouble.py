@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tms_fit.running.live
+import tms_fit.streaming.live_fit
 from tms_bag import Record, conversion, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
 from tms_fit.messages import estimate_records
-from tms_fit.running.live import LiveFit
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import LiveFit
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.catalogue import FOLDER
 from tms_model.frames import flip_axes
@@ -69,7 +69,7 @@ def finals(answers: list[Record]) -> list[bytes]:
 
 def test_a_clock_that_jumps_an_hour_ahead_is_a_gap_and_nothing_more() -> None:
     before, after = list(stream(SECOND, 1)), list(stream(3601 * SECOND, 1))
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     answers = taken(fit, [announced(), *before, *after]) + fit.finish()
     assert fit.counts["gaps"] == 1
     assert fit.counts["strikes"] == 2
@@ -79,7 +79,7 @@ def test_a_clock_that_jumps_an_hour_ahead_is_a_gap_and_nothing_more() -> None:
     assert len(states) == 2 * PERIOD * RATE
     assert [one.header.stamp.sec for one in states if one.reset and one.header.stamp.sec > 3000] == [3601]
     # What follows the jump is fitted as if nothing had been before.
-    alone = LiveFit(FitSettings())
+    alone = LiveFit(Settings())
     expected = taken(alone, [announced(), *after]) + alone.finish()
     assert finals(answers)[2:] == finals(expected)
     assert len(finals(expected)) == 2
@@ -88,7 +88,7 @@ def test_a_clock_that_jumps_an_hour_ahead_is_a_gap_and_nothing_more() -> None:
 def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
     messages = list(stream(SECOND, 2))
     ahead = next(data for topic, data in stream(3601 * SECOND, 1) if topic == topics.IMU)
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     answers = taken(fit, [announced(), *messages[:620], (topics.IMU, ahead), *messages[620:]]) + fit.finish()
     assert (fit.counts["gaps"], fit.counts["jumps_back"], fit.counts["strikes"]) == (1, 1, 2)
     assert len(finals(answers)) == 4
@@ -96,8 +96,8 @@ def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
 
 def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     # Ten strikes to fill what is kept, then ten more: 6000 samples of hundreds of bytes each, were they kept.
-    monkeypatch.setattr(tms_fit.running.live, "MOST_STRIKES", 3)
-    quick = replace(FitSettings(), estimators=("som2011",))
+    monkeypatch.setattr(tms_fit.streaming.live_fit, "MOST_STRIKES", 3)
+    quick = replace(Settings(), estimators=("som2011",))
     fit = LiveFit(quick, preview_period=0.0)
     messages = stream(SECOND, 20)
     fit.take(*announced())
@@ -117,23 +117,23 @@ def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes() -> None:
-    fit = LiveFit(FitSettings())
-    starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.running.live.MOST_RUNS + 2)]
+    fit = LiveFit(Settings())
+    starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.streaming.live_fit.MOST_RUNS + 2)]
     for start_ns in starts:
         taken(fit, [announced(), *stream(start_ns, 1)])
     fit.finish()
-    longer = FitSettings(window=3.0)
+    longer = Settings(window=3.0)
     spans = [
         np.ptp(fit.refit(start_ns + 2 * SECOND, longer).stretch.time_ns) / SECOND
         for start_ns in (starts[0], starts[1], starts[2], starts[-1])
     ]
-    usual = FitSettings().window
+    usual = Settings().window
     assert spans == pytest.approx([usual, usual, 3.0, 3.0], abs=0.1)
 
 
 def test_what_waits_for_the_bicycle_is_bounded_and_the_loss_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tms_fit.running.live, "MOST_HELD", 50)
-    fit, sent = LiveFit(FitSettings()), list(islice(stream(SECOND, 1), 200))
+    monkeypatch.setattr(tms_fit.streaming.live_fit, "MOST_HELD", 50)
+    fit, sent = LiveFit(Settings()), list(islice(stream(SECOND, 1), 200))
     assert taken(fit, sent) == []
     assert fit.diagnostics["forgotten"] == 150
     answers = taken(fit, [announced()]) + fit.finish()
@@ -142,7 +142,7 @@ def test_what_waits_for_the_bicycle_is_bounded_and_the_loss_told(monkeypatch: py
 
 
 def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     (mad,) = conversion.speed_records(SpeedSamples(np.array([SECOND]), np.array([1e200])))
     samples = [one for one in stream(SECOND, 1) if one[0] == topics.IMU]
     answers = taken(fit, [announced(), (topics.SPEED, mad.data), *samples]) + fit.finish()
@@ -152,7 +152,7 @@ def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
 # A message may not have files opened, whatever it names; without all numbers it says no bicycle.
 @pytest.mark.parametrize("name", ["tandem", str(FOLDER / "tms_eq_10_1.yaml"), "../bicycles/tms_eq_10_1"])
 def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str) -> None:
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name, parameters={"trail": 0.1}))
     assert fit.take(topics.RUN_INFO, wrong.data) == []
     assert fit.diagnostics["unknown_bicycle"] == 1
@@ -160,14 +160,14 @@ def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str
     messages = list(stream(SECOND, 1))
     assert taken(fit, messages) == []  # they wait
     answers = [*taken(fit, [announced()]), *fit.finish()]
-    right = LiveFit(FitSettings())
+    right = LiveFit(Settings())
     assert answers == [*taken(right, [announced(), *messages]), *right.finish()]
 
 
 def test_a_bicycle_of_ones_own_is_the_one_that_run_info_states() -> None:
     numbers = load_bicycle(INFO.bicycle).numbers
     (said,) = conversion.run_info_records(replace(INFO, bicycle="/home/me/tandem.yaml", parameters=numbers))
-    live, known = LiveFit(FitSettings()), LiveFit(FitSettings())
+    live, known = LiveFit(Settings()), LiveFit(Settings())
     answers = [*taken(live, [(topics.RUN_INFO, said.data), *stream(SECOND, 1)]), *live.finish()]
     right = [*taken(known, [announced(), *stream(SECOND, 1)]), *known.finish()]
     assert live.bicycle == "tandem"
@@ -180,10 +180,10 @@ def test_a_bicycle_of_ones_own_is_the_one_that_run_info_states() -> None:
 def test_a_bicycle_of_ones_own_is_used_to_fit_once_more(tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     shutil.copy(FOLDER / f"{INFO.bicycle}.yaml", mine)
-    fit = LiveFit(FitSettings(), str(mine))
+    fit = LiveFit(Settings(), str(mine))
     answers = taken(fit, [announced(), *stream(SECOND, 1)]) + fit.finish()
     strikes = [one for one in answers if one.topic == "/estimate"]
     assert strikes
-    again = fit.refit(0, FitSettings())
+    again = fit.refit(0, Settings())
     assert again.bicycle == fit.bicycle == "mine"
     assert estimate_records(again) == strikes[-len(again.estimates) :]

@@ -14,12 +14,12 @@ from tms_fit.estimators.least_squares import fit_window
 from tms_fit.kalman.batch import filter_batch
 from tms_fit.kalman.state_space import bicycle_space, with_oscillator
 from tms_fit.least_squares.losses import LOSSES, Loss, outlier_count
-from tms_fit.least_squares.noise import NOISES
-from tms_fit.least_squares.noise.oscillation import Oscillations
-from tms_fit.least_squares.noise.process import ProcessNoise, autocovariances, burg, grid_places, process
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.noise import NOISES
+from tms_fit.noise.ar_process import ARChannelNoise, autocovariances, burg, grid_places, process
+from tms_fit.noise.oscillator_filter import Oscillations
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window, without_saturated
 from tms_model import ParameterError, linear_system, load_bicycle
 
@@ -39,7 +39,7 @@ def plus(window: Window, noise: np.ndarray) -> Window:
     return replace(window, lean_rate=window.lean_rate + noise[:, 0], yaw_rate=window.yaw_rate + noise[:, 1])
 
 
-def coloured(rng: np.random.Generator, count: int, tau: float, std: float = 0.02) -> np.ndarray:
+def colored_noise(rng: np.random.Generator, count: int, tau: float, std: float = 0.02) -> np.ndarray:
     """AR(1) of time constant tau [s] on both channels, sampled every 10 ms."""
     memory = np.exp(-0.01 / tau)
     white = np.sqrt(1.0 - memory**2) * rng.standard_normal((count + 1000, 2))
@@ -70,7 +70,7 @@ def test_whitening_is_the_inverse_of_the_covariance() -> None:
 def test_missing_samples_leave_the_likelihood_exact() -> None:
     rng = np.random.default_rng(1)
     places = np.concatenate([[0], np.sort(rng.permutation(np.arange(1, 60))[:35])])
-    channel = ProcessNoise(process(REFLECTIONS), 0.7, places, int(places[-1]) + 1)
+    channel = ARChannelNoise(process(REFLECTIONS), 0.7, places, int(places[-1]) + 1)
     covariance = 0.49 * toeplitz(autocovariances([channel.process], channel.count)[0])[np.ix_(places, places)]
     values = rng.standard_normal((36, 2))
     rows = channel.rows(values)
@@ -101,8 +101,8 @@ def test_intervals_hold_under_coloured_noise(kind: str) -> None:
     rng, window = np.random.default_rng(7), clean_window()
     held, naive, swinging = 0, 0, 0
     for _ in range(80):
-        noise = shaking(rng, 150) if kind == "shimmy" else coloured(rng, 150, float(kind.split()[1]))
-        answers = [fit_window(plus(window, noise), FitSettings(noise=name)) for name in ("auto", "white")]
+        noise = shaking(rng, 150) if kind == "shimmy" else colored_noise(rng, 150, float(kind.split()[1]))
+        answers = [fit_window(plus(window, noise), Settings(noise=name)) for name in ("auto", "white")]
         inside = [one.ci95[0, 0] <= 0.5 <= one.ci95[0, 1] for one in answers]
         held, naive = held + inside[0], naive + inside[1]
         assert answers[0].noise_model in ({"ar", "oscillator"} if kind == "shimmy" else {"ar"})
@@ -115,15 +115,15 @@ def test_intervals_hold_under_coloured_noise(kind: str) -> None:
 def test_white_noise_stays_white() -> None:
     rng, window = np.random.default_rng(8), clean_window()
     models = [
-        fit_window(plus(window, 0.02 * rng.standard_normal((150, 2))), FitSettings()).noise_model
+        fit_window(plus(window, 0.02 * rng.standard_normal((150, 2))), Settings()).noise_model
         for _ in range(40)
     ]
     assert models.count("white") >= 38
 
 
 def test_the_message_says_what_was_chosen() -> None:
-    noise = coloured(np.random.default_rng(9), 150, 0.2)
-    answer = fit_window(plus(clean_window(), noise), FitSettings())
+    noise = colored_noise(np.random.default_rng(9), 150, 0.2)
+    answer = fit_window(plus(clean_window(), noise), Settings())
     assert "neighbouring residuals are alike, so the noise is taken as autoregressive" in answer.message
     assert {"lean_rate_ar1", "yaw_rate_ar1"} <= set(answer.noise)
     assert abs(answer.residual_autocorrelation) < 0.3
@@ -131,7 +131,7 @@ def test_the_message_says_what_was_chosen() -> None:
 
 def test_generalised_least_squares_by_hand() -> None:
     # With the noise's covariance known, rows() must give (J' S^-1 J)^-1.
-    window = plus(clean_window(), coloured(np.random.default_rng(3), 150, 0.1))
+    window = plus(clean_window(), colored_noise(np.random.default_rng(3), 150, 0.1))
     model = predictor(window)
     columns = model.select(("initial_lean_rate", "yaw_rate_bias"))
     noise = NOISES["ar"](window.time, window.measured - model.predict(TRUTH), columns)
@@ -158,7 +158,7 @@ def test_huber_is_more_than_twice_as_good_with_outliers() -> None:
     for _ in range(80):
         measured = with_outliers(rng, window)
         for name in LOSSES:
-            answer = fit_window(measured, FitSettings(loss=name, noise="white"))
+            answer = fit_window(measured, Settings(loss=name, noise="white"))
             errors[name].append(answer.values[0] - 0.5)
             if name == "huber":
                 inside += int(answer.ci95[0, 0] <= 0.5 <= answer.ci95[0, 1])
@@ -171,7 +171,7 @@ def test_huber_is_more_than_twice_as_good_with_outliers() -> None:
 @pytest.mark.parametrize("name", ["huber", "student_t"])
 def test_a_robust_fit_is_the_minimum_of_its_cost(name: str) -> None:
     window = with_outliers(np.random.default_rng(5), clean_window())
-    answer = fit_window(window, FitSettings(free=("initial_lean_rate",), loss=name, noise="white"))
+    answer = fit_window(window, Settings(free=("initial_lean_rate",), loss=name, noise="white"))
     column, std = predictor(window).select(("initial_lean_rate",))[:, :, 0], answer.noise["noise_std"]
 
     def cost(value: np.ndarray) -> float:
@@ -207,7 +207,7 @@ def test_saturated_samples_by_what_is_done_with_them() -> None:
     runs = [clipped(rng) for _ in range(40)]
     bias, spread = {}, {}
     for how in ("use", "drop", "censor"):
-        settings = FitSettings(saturation=how, noise="white")
+        settings = Settings(saturation=how, noise="white")
         windows = [replace(run, saturated=None) for run in runs] if how == "use" else runs
         values = np.array([fit_window(window, settings).values[0] for window in windows])
         bias[how], spread[how] = float(np.mean(values)) / 0.9 - 1.0, float(np.std(values)) / 0.9
@@ -219,7 +219,7 @@ def test_saturated_samples_by_what_is_done_with_them() -> None:
 
 def test_censored_fit_is_the_maximum_of_tobits_likelihood() -> None:
     window = clipped(np.random.default_rng(10))
-    answer = fit_window(window, FitSettings(free=("initial_lean_rate",), saturation="censor", noise="white"))
+    answer = fit_window(window, Settings(free=("initial_lean_rate",), saturation="censor", noise="white"))
     column, limits = predictor(window).select(("initial_lean_rate",))[:, :, 0], window.saturated
     assert limits is not None
 
@@ -234,7 +234,7 @@ def test_censored_fit_is_the_maximum_of_tobits_likelihood() -> None:
     around = [cost(best.x + part * step) for part in (-1.0, 0.0, 1.0)]
     curvature = (around[0] - 2.0 * around[1] + around[2]) / step**2
     assert float(answer.std[0]) == pytest.approx(1.0 / np.sqrt(curvature), rel=0.01)
-    dropped = fit_window(without_saturated(window), FitSettings(free=("initial_lean_rate",), noise="white"))
+    dropped = fit_window(without_saturated(window), Settings(free=("initial_lean_rate",), noise="white"))
     assert answer.std[0] < dropped.std[0] * 1.05
 
 
@@ -244,7 +244,7 @@ def test_noise_beside_half_the_samples_saturated_is_that_of_tobits_likelihood() 
     limits, column = window.saturated, predictor(window).select(("initial_lean_rate",))[:, :, 0]
     assert limits is not None
     assert np.count_nonzero(limits) > 140
-    answer = fit_window(window, FitSettings(free=("initial_lean_rate",), saturation="censor", noise="white"))
+    answer = fit_window(window, Settings(free=("initial_lean_rate",), saturation="censor", noise="white"))
 
     def cost(values: np.ndarray) -> float:
         off, std, free = window.measured - column * values[0], np.exp(values[1]), limits == 0.0
@@ -268,7 +268,7 @@ def test_noise_beside_half_the_samples_saturated_is_that_of_tobits_likelihood() 
 )
 def test_censoring_needs_white_noise_and_squares(wrong: dict[str, str]) -> None:
     with pytest.raises(ParameterError, match=r"censor goes with (white noise and squares|intervals wald)"):
-        FitSettings(saturation="censor", **wrong)  # type: ignore[arg-type]
+        Settings(saturation="censor", **wrong)  # type: ignore[arg-type]
 
 
 def oscillation(
@@ -309,13 +309,13 @@ def test_an_oscillator_is_that_of_the_kalman_filter() -> None:
 
 def test_what_an_oscillator_is_like_is_found_or_given() -> None:
     window = plus(clean_window(), shaking(np.random.default_rng(23), 150))
-    found = fit_window(window, FitSettings(noise="oscillator"))
+    found = fit_window(window, Settings(noise="oscillator"))
     assert found.noise["yaw_rate_oscillator_frequency"] == pytest.approx(20.0, abs=0.5)
     assert 0.02 < found.noise["yaw_rate_oscillator_std"] < 0.12
     assert found.noise["lean_rate_noise_std"] == pytest.approx(0.02, rel=0.2)
     assert "lean_rate_oscillator_frequency" not in found.noise
     assert "the noise is taken as white with an oscillation of 2" in found.message
-    given = fit_window(window, FitSettings(noise="oscillator", oscillator=(21.0, 1.0)))
+    given = fit_window(window, Settings(noise="oscillator", oscillator=(21.0, 1.0)))
     assert given.noise["yaw_rate_oscillator_frequency"] == 21.0
     assert given.noise["yaw_rate_oscillator_decay_time"] == 1.0
     assert given.log_likelihood < found.log_likelihood
@@ -331,16 +331,16 @@ def test_what_an_oscillator_is_like_is_found_or_given() -> None:
 )
 def test_an_oscillator_that_can_not_be(oscillator: tuple[float, ...], noise: str, match: str) -> None:
     with pytest.raises(ParameterError, match=match):
-        FitSettings(oscillator=oscillator, noise=noise)
+        Settings(oscillator=oscillator, noise=noise)
 
 
 def test_outliers_are_seen_and_only_outliers() -> None:
     rng, window = np.random.default_rng(24), clean_window()
-    spoilt = [fit_window(with_outliers(rng, window), FitSettings()) for _ in range(20)]
+    spoilt = [fit_window(with_outliers(rng, window), Settings()) for _ in range(20)]
     assert sum(one.loss == "huber" for one in spoilt) >= 19
     assert "apart from the neighbours, so outliers count less" in " ".join(spoilt[0].chosen)
-    robust = fit_window(with_outliers(np.random.default_rng(25), window), FitSettings())
-    asked = fit_window(with_outliers(np.random.default_rng(25), window), FitSettings(loss="huber"))
+    robust = fit_window(with_outliers(np.random.default_rng(25), window), Settings())
+    asked = fit_window(with_outliers(np.random.default_rng(25), window), Settings(loss="huber"))
     np.testing.assert_array_equal(robust.values, asked.values)
     clean = [0.02 * rng.standard_normal((150, 2)) for _ in range(200)]
     assert sum(outlier_count(one) > 0 for one in clean) <= 6  # 0.7 % of runs are expected
@@ -351,25 +351,25 @@ def test_a_start_that_is_not_straight_is_found_by_evidence() -> None:
     rng, window = np.random.default_rng(26), clean_window()
     rates = predictor(window).predict({"initial_lean_rate": 0.5, "initial_steer_rate": -1.5})
     kicked = replace(window, lean_rate=rates[:, 0], yaw_rate=rates[:, 1])
-    answer = fit_window(plus(kicked, 0.02 * rng.standard_normal((150, 2))), FitSettings())
+    answer = fit_window(plus(kicked, 0.02 * rng.standard_normal((150, 2))), Settings())
     assert "initial_steer_rate" in answer.names
     assert abs(answer.parameters["initial_steer_rate"] + 1.5) < 4.0 * answer.std[3]
     assert "else the initial lean rate would be" in answer.chosen[0]
-    held = fit_window(kicked, FitSettings(free=("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")))
+    held = fit_window(kicked, Settings(free=("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")))
     assert held.names == ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
-    alike = [coloured(rng, 150, 0.2) for _ in range(20)]  # coloured noise is no evidence for a kick
-    frees = [fit_window(plus(window, noise), FitSettings()).names for noise in alike]
+    alike = [colored_noise(rng, 150, 0.2) for _ in range(20)]  # coloured noise is no evidence for a kick
+    frees = [fit_window(plus(window, noise), Settings()).names for noise in alike]
     assert sum("initial_steer_rate" in names for names in frees) <= 1
 
 
 def test_a_prior_under_noise_that_remembers_weighs_as_much_as_the_data() -> None:
     # As sure as the data and a standard error away: the answer stands about half-way between, nearer to
     # whichever the likelier noise lets be surer.
-    made = plus(clean_window(), coloured(np.random.default_rng(21), 150, 0.05))
+    made = plus(clean_window(), colored_noise(np.random.default_rng(21), 150, 0.05))
     free = ("initial_lean_rate",)
-    plain = fit_window(made, FitSettings(free=free, noise="ar"))
+    plain = fit_window(made, Settings(free=free, noise="ar"))
     value, std = float(plain.values[0]), float(plain.std[0])
     prior = {"initial_lean_rate": (value + std, std)}
-    both = fit_window(made, FitSettings(free=free, noise="ar", priors=prior))
+    both = fit_window(made, Settings(free=free, noise="ar", priors=prior))
     assert both.values[0] == pytest.approx(value + 0.5 * std, abs=0.2 * std)
     assert both.std[0] == pytest.approx(std / np.sqrt(2.0), rel=0.15)

@@ -14,10 +14,10 @@ from tms_bag.messages import deserialize
 from tms_bag.samples import RunInfo, SpeedSamples
 from tms_fit.kalman.running_filter import FilterStep, RunningFilter
 from tms_fit.messages import estimate_records
-from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.running.live import INPUTS, REORDER_WINDOW, LiveFit
-from tms_fit.running.online import PATIENCE, OnlineFit, StrikeFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import bicycle_of, fit_recording
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import INPUTS, REORDER_WINDOW, LiveFit
+from tms_fit.streaming.online import PATIENCE, OnlineFit, StrikeFit
 from tms_model import ParameterError, load_bicycle
 from tms_model.frames import imu_to_rear_frame
 from tms_sim.run import SimulatedRun
@@ -51,7 +51,7 @@ def late(run: SimulatedRun, seed: int, longest: float) -> list[Event]:
 
 
 def results_of(run: SimulatedRun, order: Iterable[Event], **settings: Any) -> list[StrikeFit | FilterStep]:
-    online = OnlineFit(load_bicycle(run.info.bicycle), FitSettings(**settings), run.info.imu_orientation, 3.0)
+    online = OnlineFit(load_bicycle(run.info.bicycle), Settings(**settings), run.info.imu_orientation, 3.0)
     results: list[StrikeFit | FilterStep] = []
     for stamp, topic, _, value in order:
         if topic == "imu":
@@ -104,7 +104,7 @@ def test_imu_waits_no_longer_than_its_patience(make_run: Any) -> None:
     # The speed sensor falls silent after 2 s: its last value holds, and every sample is used all the same.
     run = make_run("tms_strike", strike__time=1.5037, duration=4.5)
     silent = [event for event in in_order(run) if event[1] == "imu" or event[0] < 3 * SECOND]
-    online = OnlineFit(load_bicycle("tms_eq_10_1"), FitSettings(), run.info.imu_orientation)
+    online = OnlineFit(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation)
     for stamp, topic, _, value in silent:
         if topic == "imu":
             online.add_imu(stamp, value, run.imu.angular_velocity_variance)
@@ -123,7 +123,7 @@ def test_imu_waits_no_longer_than_its_patience(make_run: Any) -> None:
 def test_without_a_speed_topic_the_nominal_speed_serves(make_run: Any) -> None:
     run = make_run("tms_strike_ideal", strike__time=1.5, duration=4.0)
     only_imu = [event for event in in_order(run) if event[1] == "imu"]
-    settings = FitSettings(estimators=("least_squares",))
+    settings = Settings(estimators=("least_squares",))
     for nominal, fixed in ((3.6, {}), (float("nan"), {"speed": 3.6})):
         online = OnlineFit(
             load_bicycle("tms_eq_10_1"), replace(settings, fixed=fixed), run.info.imu_orientation, nominal
@@ -213,7 +213,7 @@ def messages(run: SimulatedRun) -> list[tuple[str, bytes]]:
 
 
 def live(run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "") -> list[Record]:
-    fit = LiveFit(FitSettings(), bicycle)
+    fit = LiveFit(Settings(), bicycle)
     answers = [record for topic, data in order for record in fit.take(topic, data)]
     return answers + fit.finish()
 
@@ -234,7 +234,7 @@ def recorded(make_run: Any, tmp_path: Path) -> Any:
             for record in run.records():
                 bag.write(record)
         recording = read_recording(tmp_path / "bag")
-        return run, fit_recording(recording, bicycle_of(recording, None), FitSettings())
+        return run, fit_recording(recording, bicycle_of(recording, None), Settings())
 
     return make
 
@@ -290,7 +290,7 @@ def test_samples_wait_for_the_run_to_be_announced(make_run: Any) -> None:
 def test_an_announcement_begins_a_new_run(make_run: Any) -> None:
     first = make_run("tms_strike", strike__time=1.5037, duration=4.0)
     second = make_run("delft_push", strike__time=1.5037, duration=4.0, start_time_ns=20 * SECOND)
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     answers = [
         r for topic, data in messages(first) + messages(second) for r in fit.take(topic, data)
     ] + fit.finish()
@@ -326,7 +326,7 @@ def test_a_mounting_that_nobody_states_is_level(make_run: Any) -> None:
 
 def test_unreadable_messages_are_counted_and_left_out(make_run: Any) -> None:
     run = make_run("tms_strike", strike__time=1.5037, duration=4.0)
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     answers = []
     for index, (topic, data) in enumerate(messages(run)):
         answers += fit.take(topic, data)
@@ -339,9 +339,9 @@ def test_unreadable_messages_are_counted_and_left_out(make_run: Any) -> None:
 
 def test_unknown_names_are_refused_at_once() -> None:
     with pytest.raises(ParameterError, match="unknown bicycle 'tandem'"):
-        LiveFit(FitSettings(), "tandem")
+        LiveFit(Settings(), "tandem")
     with pytest.raises(ParameterError, match="estimator: unknown 'guess'"):
-        LiveFit(FitSettings(estimators=("guess",)))
+        LiveFit(Settings(estimators=("guess",)))
 
 
 def test_speed_samples_may_be_missing_altogether(recorded: Any, tmp_path: Path, make_run: Any) -> None:
@@ -354,7 +354,7 @@ def test_speed_samples_may_be_missing_altogether(recorded: Any, tmp_path: Path, 
     recording = read_recording(tmp_path / "still")
     assert recording.speed is None
     assert isinstance(recording.run_info, RunInfo)
-    fit = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+    fit = fit_recording(recording, bicycle_of(recording, None), Settings())
     assert fit.strikes[0].window is not None
     assert fit.strikes[0].window.start_speed == 3.6
 
@@ -366,7 +366,7 @@ def test_order_of_arrival_does_not_matter_within_the_reorder_window(recorded: An
     delays = np.random.default_rng(3).uniform(0.0, 0.9 * REORDER_WINDOW * SECOND, len(rest))
     shaken = [rest[index] for index in np.argsort(np.array(stamps) + delays, kind="stable")]
     assert shaken != rest
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     answers = [record for topic, data in told + shaken for record in fit.take(topic, data)] + fit.finish()
     expected = [record for strike in offline.strikes for record in estimate_records(strike)]
     assert [record.data for record in finals(answers)] == [record.data for record in expected]
@@ -383,7 +383,7 @@ def test_late_and_repeated_samples_are_left_out_and_counted(make_run: Any) -> No
     shaken = [one for number, one in enumerate(in_order) if number != imu[120]]
     shaken.insert(imu[180], late)  # 0.6 s after its time
     shaken.insert(imu[141], twice)
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     for topic, data in shaken:
         fit.take(topic, data)
     assert (fit.diagnostics["late"], fit.diagnostics["repeated"]) == (1, 1)
@@ -407,10 +407,10 @@ def test_an_unfolding_response_is_estimated_with_growing_certainty(make_run: Any
 
 def test_a_strike_can_be_fitted_once_more(recorded: Any) -> None:
     run, offline = recorded(strike__time=1.5037, duration=6.0)
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     for topic, data in messages(run):
         fit.take(topic, data)
-    longer = FitSettings(window=3.0, free=("initial_lean_rate", "initial_steer_rate"))
+    longer = Settings(window=3.0, free=("initial_lean_rate", "initial_steer_rate"))
     again = fit.refit(0, longer)
     (expected,) = fit_recording(offline.recording, offline.bicycle, longer).strikes
     for one, other in zip(again.estimates, expected.estimates, strict=True):

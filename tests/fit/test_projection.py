@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares as brute_force
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.prediction import STEPS, derivative, predictor
-from tms_fit.settings import INITIAL, NONLINEAR, PARAMETERS, FitSettings
-from tms_fit.speed_curve import SpeedCurve, constant_speed
+from tms_fit.response.prediction import STEPS, derivative, predictor
+from tms_fit.settings import INITIAL, NONLINEAR, PARAMETERS, Settings
+from tms_fit.speed_profile import SpeedProfile, constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle
 
@@ -69,7 +69,7 @@ def test_it_is_the_minimum_over_all_parameters(
     window = made_window(TRUTH)
     fixed = {name: value for name, value in TRUTH.items() if name not in free}
     held = {name: prior for name, prior in priors.items() if name in free}
-    estimate = fit_window(window, FitSettings(free=free, fixed=fixed, priors=held, noise="white"))
+    estimate = fit_window(window, Settings(free=free, fixed=fixed, priors=held, noise="white"))
     assert (estimate.status, estimate.names) == ("ok", free)
     sigma = estimate.noise["noise_std"]
 
@@ -123,8 +123,8 @@ def bounds_when_decelerating() -> list[np.ndarray]:
     window = made_window(
         {"initial_lean_rate": 0.5, "speed": 3.6, "rolling_resistance": 0.06}, count=400, noise=1e-6
     )
-    lean_rate = FitSettings(free=("initial_lean_rate",), fixed={"speed": 3.6, "rolling_resistance": 0.06})
-    both = FitSettings(free=("initial_lean_rate", "speed", "rolling_resistance"))
+    lean_rate = Settings(free=("initial_lean_rate",), fixed={"speed": 3.6, "rolling_resistance": 0.06})
+    both = Settings(free=("initial_lean_rate", "speed", "rolling_resistance"))
     found = [fit_window(window, settings) for settings in (lean_rate, both)]
     return [1e3 * 0.02 * one.std / one.noise["noise_std"] for one in found]
 
@@ -150,12 +150,12 @@ def test_bounds_without_the_terms_in_the_acceleration(monkeypatch: pytest.Monkey
 
 def test_a_speed_curve_is_followed() -> None:
     # A curve that falls by 0.5886 m/s per second is C_r = 0.06.
-    falling = SpeedCurve(np.array([3.6, -0.06 * 9.81]), np.zeros((2, 2)))
+    falling = SpeedProfile(np.array([3.6, -0.06 * 9.81]), np.zeros((2, 2)))
     window = replace(made_window(TRUTH), speed=falling)
-    by_curve = fit_window(window, FitSettings(free=("initial_lean_rate",)))
+    by_curve = fit_window(window, Settings(free=("initial_lean_rate",)))
     by_number = fit_window(
         replace(window, speed=constant_speed(3.6)),
-        FitSettings(free=("initial_lean_rate",), fixed={"rolling_resistance": 0.06}),
+        Settings(free=("initial_lean_rate",), fixed={"rolling_resistance": 0.06}),
     )
     np.testing.assert_allclose(by_curve.predicted, by_number.predicted, atol=1e-10)
     assert "speed as measured" in by_curve.message
@@ -168,9 +168,9 @@ def test_a_slipping_wheel_is_left_out_or_found() -> None:
     off = -0.8 * np.maximum(1.0 - window.time / 0.2, 0.0)
     slipping = replace(window, yaw_rate=window.yaw_rate + off)
     free = ("initial_lean_rate",)
-    ignored = fit_window(slipping, FitSettings(free=free))
-    left_out = fit_window(slipping, FitSettings(free=free, slip_window=0.2))
-    found = fit_window(slipping, FitSettings(free=free, slip_window=0.2, slip="yaw_offset"))
+    ignored = fit_window(slipping, Settings(free=free))
+    left_out = fit_window(slipping, Settings(free=free, slip_window=0.2))
+    found = fit_window(slipping, Settings(free=free, slip_window=0.2, slip="yaw_offset"))
     assert abs(ignored.values[0] - 0.5) > 5.0 * ignored.std[0] or ignored.residual_std > 0.05
     assert abs(left_out.values[0] - 0.5) < 4.0 * left_out.std[0]
     assert "without the first 0.2 s" in left_out.message
@@ -180,8 +180,8 @@ def test_a_slipping_wheel_is_left_out_or_found() -> None:
 
 def test_a_falling_speed_that_nobody_measured_is_found_in_a_long_run() -> None:
     truth = {"initial_lean_rate": 0.5, "speed": 3.6, "rolling_resistance": 0.06}
-    falling = fit_window(made_window(truth, count=300), FitSettings())
-    constant = fit_window(made_window({**truth, "rolling_resistance": 0.0}, count=300), FitSettings())
+    falling = fit_window(made_window(truth, count=300), Settings())
+    constant = fit_window(made_window({**truth, "rolling_resistance": 0.0}, count=300), Settings())
     assert {"speed", "rolling_resistance"} <= set(falling.names)
     assert "a constant speed is far less likely" in falling.message
     low, high = falling.ci95[falling.names.index("rolling_resistance")]
@@ -191,14 +191,14 @@ def test_a_falling_speed_that_nobody_measured_is_found_in_a_long_run() -> None:
 
 def test_what_shapes_nothing_is_not_observable() -> None:
     still = made_window({"speed": 3.6}, noise=0.0)
-    answer = fit_window(still, FitSettings(free=("speed",)))
+    answer = fit_window(still, Settings(free=("speed",)))
     assert (answer.status, answer.names) == ("not_observable", ())
 
 
 def test_a_bicycle_of_matrices_only_has_no_changing_speed() -> None:
     window = made_window(TRUTH)
     nameless = replace(window, bicycle=replace(window.bicycle, name="mine"))
-    answer = fit_window(nameless, FitSettings(free=("initial_lean_rate", "rolling_resistance")))
+    answer = fit_window(nameless, Settings(free=("initial_lean_rate", "rolling_resistance")))
     assert answer.status == "not_observable"
     assert "masses and geometry" in answer.message
 
@@ -221,7 +221,7 @@ def test_a_feedback_gain_is_found_though_the_bicycle_falls_without(speed: float,
     free = ("initial_lean_rate", "lean_rate_gain", "lean_rate_bias")
     if not start_known:
         free = (*free, "initial_lean", "initial_steer")
-    found = fit_window(replace(window, lean_rate=rates + noise), FitSettings(free=free))
+    found = fit_window(replace(window, lean_rate=rates + noise), Settings(free=free))
     assert found.status == "ok"
     for name, std in zip(found.names, found.std, strict=True):
         assert found.parameters[name] == pytest.approx(truth.get(name, 0.0), abs=3.5 * std)
@@ -230,6 +230,6 @@ def test_a_feedback_gain_is_found_though_the_bicycle_falls_without(speed: float,
 @pytest.mark.parametrize("gain", [-1e6, -1e200])
 def test_a_bicycle_that_falls_beyond_all_numbers_is_no_defect(gain: float) -> None:
     window = made_window(TRUTH)
-    found = fit_window(window, FitSettings(fixed={"lean_rate_gain": gain}))
+    found = fit_window(window, Settings(fixed={"lean_rate_gain": gain}))
     assert found.status == "not_observable"
     assert "such a bicycle falls at once" in found.message

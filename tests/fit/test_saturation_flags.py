@@ -12,11 +12,11 @@ import pytest
 from tms_bag import BagWriter, read_recording, topics
 from tms_bag.record import Record
 from tms_fit.messages import estimate_records
-from tms_fit.offline import fit_recording
-from tms_fit.running.alignment import MOST_FLAGS, Alignment
-from tms_fit.running.gyroscopes import Gyroscopes, X, Y, Z
-from tms_fit.running.live import INPUTS, LiveFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import fit_recording
+from tms_fit.settings import Settings
+from tms_fit.streaming.gyroscopes import Gyroscopes, X, Y, Z
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
+from tms_fit.streaming.synchronizer import MOST_FLAGS, SampleSynchronizer
 from tms_model import load_bicycle
 from tms_model.frames import quaternion
 from tms_sim.run import SimulatedRun
@@ -44,9 +44,9 @@ def messages(run: SimulatedRun) -> list[Record]:
     return [record for record in run.records() if record.topic.removeprefix("/") in INPUTS]
 
 
-def live(records: list[Record], settings: FitSettings | None = None) -> tuple[list[bytes], LiveFit]:
+def live(records: list[Record], settings: Settings | None = None) -> tuple[list[bytes], LiveFit]:
     """All answers but previews, as bytes."""
-    fit = LiveFit(settings or FitSettings(), preview_period=0.0)
+    fit = LiveFit(settings or Settings(), preview_period=0.0)
     answers = [one for record in records for one in fit.take(record.topic.removeprefix("/"), record.data)]
     return [one.data for one in answers + fit.finish()], fit
 
@@ -70,7 +70,7 @@ def test_live_replayed_and_offline_agree_on_them(limited: SimulatedRun, tmp_path
         for record in limited.records():
             bag.write(record)
     recording = read_recording(tmp_path / "bag")
-    offline = fit_recording(recording, load_bicycle("tms_eq_10_1"), FitSettings())
+    offline = fit_recording(recording, load_bicycle("tms_eq_10_1"), Settings())
     expected = [record.data for strike in offline.strikes for record in estimate_records(strike)]
     answers, fit = live(messages(limited))
     assert [one for one in answers if one in expected] == expected
@@ -84,7 +84,7 @@ def test_live_replayed_and_offline_agree_on_them(limited: SimulatedRun, tmp_path
 
 def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
     told, _ = live(messages(limited))
-    known, _ = live(messages(unmarked(limited)), FitSettings(gyroscope_range=LIMIT))
+    known, _ = live(messages(unmarked(limited)), Settings(gyroscope_range=LIMIT))
     assert told == known
     assert told != live(messages(unmarked(limited)))[0]
 
@@ -92,7 +92,7 @@ def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
 def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
     first = [record for record in messages(limited) if record.topic != f"/{topics.LEAN_YAW}"]
     late = [record for record in messages(limited) if record.topic == f"/{topics.LEAN_YAW}"]
-    fit = LiveFit(FitSettings())
+    fit = LiveFit(Settings())
     for record in first + late:
         fit.take(record.topic.removeprefix("/"), record.data)
     marked = np.count_nonzero(limited.lean_yaw.saturation)
@@ -102,7 +102,7 @@ def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
 
 
 def test_marks_without_samples_are_forgotten() -> None:
-    aligned = Alignment(Gyroscopes(LEVEL, None), 0.0, 3.6)
+    aligned = SampleSynchronizer(Gyroscopes(LEVEL, None), 0.0, 3.6)
     for stamp in range(1, MOST_FLAGS + 3):
         aligned.add_flags(stamp, X)
     assert aligned.counts["late_flags"] == 2

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from tms_bag.samples import SpeedSamples
-from tms_fit.criticism.hypotheses import verdicts
+from tms_fit.diagnostics.hypothesis_tests import run_hypothesis_tests
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.motion import speeds_at
-from tms_fit.least_squares.prediction import predict_by
 from tms_fit.messages import estimate_records
-from tms_fit.offline import feed
-from tms_fit.running.alignment import Series
-from tms_fit.running.live import INPUTS, LiveFit
-from tms_fit.running.online import OnlineFit
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import FLOORS, GUESSED, UNSTATED, SpeedCurve, speed_curve
+from tms_fit.recording_fit import feed
+from tms_fit.response.discretization import speeds_at
+from tms_fit.response.prediction import predict_by
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import FLOORS, GUESSED, UNSTATED, SpeedProfile, fit_speed_profile
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
+from tms_fit.streaming.online import OnlineFit
+from tms_fit.streaming.synchronizer import Series
 from tms_fit.strike_fit import StrikeFit
 from tms_model import load_bicycle
 from tms_model.acceleration import coasting_loss
@@ -28,10 +28,10 @@ CAMERA = {"speed_sensor__kind": "camera", "speed_sensor__camera_start": 3.3}  # 
 LOSS = 9.7  # [m/s^2]
 
 
-def curve_of(time: list[float], speed: list[float], std: float = float("nan")) -> SpeedCurve:
+def curve_of(time: list[float], speed: list[float], std: float = float("nan")) -> SpeedProfile:
     """What is made of samples of a window of 1.5 s."""
     variance = np.full(len(time), std**2)
-    return speed_curve(np.array(time), np.array(speed), variance, "auto", 1.5, LOSS)
+    return fit_speed_profile(np.array(time), np.array(speed), variance, "auto", 1.5, LOSS)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_interval_holds_the_measured_speeds_uncertainty(strike: StrikeFit) -> No
     assert strike.window is not None
     lean_rate, yaw_rate = (estimate.predicted + 0.01 * estimate.residual).T
     window = replace(strike.window, lean_rate=lean_rate, yaw_rate=yaw_rate)
-    settings = FitSettings(free=estimate.names, noise="white", loss="squares")
+    settings = Settings(free=estimate.names, noise="white", loss="squares")
     curve = replace(window.speed, covariance=np.diag([0.05**2, window.speed.covariance[1, 1]]))
     known = replace(curve, covariance=np.diag([0.0, curve.covariance[1, 1]]))
 
@@ -230,17 +230,17 @@ def test_the_supplements_fit_keeps_its_constant_speed(filmed: SimulatedRun, fit_
 
 def test_constant_speed_is_tested_by_the_rates_alone(strike: StrikeFit) -> None:
     assert strike.window is not None
-    found = {one.hypothesis: one for one in verdicts(strike.window, FitSettings())}
+    found = {one.hypothesis: one for one in run_hypothesis_tests(strike.window, Settings())}
     assert found["constant speed"].parameter == "rolling_resistance"
 
 
 def test_live_is_offline_to_the_byte_with_the_cameras_speed(filmed: SimulatedRun) -> None:
     online = OnlineFit(
-        load_bicycle(filmed.info.bicycle), FitSettings(), filmed.info.imu_orientation, running_filter=False
+        load_bicycle(filmed.info.bicycle), Settings(), filmed.info.imu_orientation, running_filter=False
     )
     feed(online, filmed)  # type: ignore[arg-type]  # it has what a recording has
     offline = [one for one in online.results() if isinstance(one, StrikeFit)]
-    live = LiveFit(FitSettings(), preview_period=60.0)
+    live = LiveFit(Settings(), preview_period=60.0)
     answers = [
         answer
         for record in filmed.records()
@@ -268,6 +268,6 @@ def test_a_speed_of_the_passage_before_is_not_believed(make_run: Any, fit_run: A
 
 def test_one_reading_of_no_speed_is_no_division_by_zero() -> None:
     # Known to 0.1 mm/s at best, also where a share of it would be nothing.
-    curve = speed_curve(np.array([-0.5]), np.zeros(1), np.full(1, np.nan), "auto", 1.5, 9.81)
+    curve = fit_speed_profile(np.array([-0.5]), np.zeros(1), np.full(1, np.nan), "auto", 1.5, 9.81)
     assert np.isfinite(curve.coefficients).all()
     assert np.isfinite(curve.covariance).all()

@@ -10,11 +10,11 @@ import pytest
 from tms_bag import Recording, RecordingError
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.offline import fit_recording
-from tms_fit.result import to_table
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.output import to_table
+from tms_fit.recording_fit import fit_recording
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window, make_window
 from tms_model import ParameterError, load_bicycle
 from tms_sim.run import SimulatedRun, simulate
@@ -44,7 +44,7 @@ def recording(run: SimulatedRun) -> Recording:
 def test_interval_holds_the_speeds_uncertainty(estimator: str) -> None:
     # First order: var(p) = var(p at this speed) + (dp/dv)^2 var(v), dp/dv by refitting at two other speeds.
     run = run_of("tms_strike", 4, speed=1.6, duration=4.5)
-    settings = FitSettings(free=("initial_lean_rate",), estimators=(estimator,))
+    settings = Settings(free=("initial_lean_rate",), estimators=(estimator,))
     fit = fit_recording(recording(run), load_bicycle("tms_eq_10_1"), settings)
     window = fit.strikes[0].window
     assert window is not None
@@ -66,7 +66,7 @@ def test_truth_is_inside_the_interval_of_an_unstable_bicycle_as_often_as_claimed
     inside = 0
     for seed in range(60):
         run = run_of("tms_strike", seed, speed=1.6, duration=4.5)
-        settings = FitSettings(estimators=("least_squares",))
+        settings = Settings(estimators=("least_squares",))
         (strike,) = fit_recording(recording(run), load_bicycle("tms_eq_10_1"), settings).strikes
         low, high = strike.estimates[0].ci95[0]
         inside += int(low <= 0.5 <= high)
@@ -75,7 +75,7 @@ def test_truth_is_inside_the_interval_of_an_unstable_bicycle_as_often_as_claimed
 
 def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
     run = replace(run_of("delft_push", 2), steer_torque=None)
-    settings = FitSettings(fixed={"lean_rate_gain": 7.0}, estimators=("least_squares",))
+    settings = Settings(fixed={"lean_rate_gain": 7.0}, estimators=("least_squares",))
     (strike,) = fit_recording(recording(run), load_bicycle("delft_sbw"), settings).strikes
     one = strike.estimates[0]
     assert abs(one.values[0] + 0.7) < 4.0 * one.std[0] < 0.02
@@ -85,7 +85,7 @@ def test_feedback_that_was_not_recorded_is_given_by_hand() -> None:
 def test_a_speed_that_nobody_measured_is_found_from_what_is_known_beforehand() -> None:
     run = run_of("tms_strike", 5, duration=6.0)
     silent = replace(recording(run), speed=None, run_info=replace(run.info, speed=float("nan")))
-    settings = FitSettings(
+    settings = Settings(
         free=("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias", "speed"),
         priors={"speed": (3.2, 0.4)},
         estimators=("least_squares",),
@@ -110,7 +110,7 @@ def test_a_simulated_controller_and_a_fitted_one_turn_the_same_fork() -> None:
     run = run_of("delft_push", 3, bicycle="delft_sbw_calibrated", imu__grade="ideal", speed_sensor__noise=0.0)
     bicycle = load_bicycle("delft_sbw_calibrated")
     assert bicycle.steer_elements.steer_torque_gain > 1.1
-    settings = FitSettings(free=("initial_lean_rate",), estimators=("least_squares",))
+    settings = Settings(free=("initial_lean_rate",), estimators=("least_squares",))
     (strike,) = fit_recording(recording(run), bicycle, settings).strikes
     (found,) = strike.estimates
     assert found.parameters["initial_lean_rate"] == pytest.approx(-0.7, rel=1e-3)
@@ -125,7 +125,7 @@ def test_intervals_hold_the_error_of_a_gain_found_from_the_torque() -> None:
     exact = Window(0, time, nothing, nothing, bicycle, constant_speed(3.0), lean_rate_gain=7.0)
     clean = predictor(exact).predict({"initial_lean_rate": -0.7})
     free = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias", "yaw_rate_bias")
-    settings, rng = FitSettings(free=free, noise="white", loss="squares"), np.random.default_rng(5)
+    settings, rng = Settings(free=free, noise="white", loss="squares"), np.random.default_rng(5)
     truth = np.array([-0.7, 0.0])
     scaled, taken, gains = [], [], []
     for _ in range(200):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
 from tms_bag import BagReader, BagWriter, topics
-from tms_fit.running.live import INPUTS
+from tms_fit.streaming.live_fit import INPUTS
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 

@@ -11,8 +11,8 @@ import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tms_bag import BagWriter, read_recording, topics
-from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
+from tms_fit.settings import Settings
 from tms_msgs.action import FitRecording
 from tms_msgs.msg import Estimate
 from tms_msgs.srv import Refit
@@ -34,7 +34,7 @@ def bag(tmp_path: Path) -> Path:
 
 def offline(bag: Path) -> RecordingFit:
     recording = read_recording(bag)
-    settings = FitSettings(free=tuple(OTHER["free"]), window=OTHER["window"])  # type: ignore[arg-type]
+    settings = Settings(free=tuple(OTHER["free"]), window=OTHER["window"])  # type: ignore[arg-type]
     return fit_recording(recording, bicycle_of(recording, None), settings)
 
 

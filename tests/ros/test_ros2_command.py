@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 import yaml
 from tms_bag import BagReader, read_recording
-from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import bicycle_of, fit_recording
+from tms_fit.settings import Settings
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ros2") is None, reason="needs the command ros2, which isn't among ROS's wheels"
@@ -214,7 +214,7 @@ def test_an_experiment_and_its_replay_are_launched(ros2: Ros2) -> None:
     assert said.count("process has finished cleanly") == 3
     recording = read_recording(ros2.folder / "run")
     assert len(recording.imu.time_ns) == 501
-    assert len(fit_recording(recording, bicycle_of(recording, None), FitSettings()).strikes) == 1
+    assert len(fit_recording(recording, bicycle_of(recording, None), Settings()).strikes) == 1
     with BagReader(ros2.folder / "run") as reader:
         names = {topic.name for topic in reader.topics}
     assert {"/lab/estimate", "/lab/clock", "/lab/tf", "/lab/tf_static"} <= names

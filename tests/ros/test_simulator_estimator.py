@@ -13,9 +13,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from tms_bag import BagReader, BagWriter, Recording, read_recording, topics
 from tms_bag.messages import deserialize
-from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.running.live import INPUTS, LiveFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import bicycle_of, fit_recording
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
 
@@ -83,7 +83,7 @@ def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Any, tmp_pat
             for record in reader.records(["/estimate"])
             for message in [deserialize(record.data, "tms_msgs/msg/Estimate")]
         }
-    offline = fit_recording(recording, bicycle_of(recording, None), FitSettings())
+    offline = fit_recording(recording, bicycle_of(recording, None), Settings())
     assert values == {one.estimator: one.values[0] for one in offline.strikes[0].estimates}
 
 
@@ -118,7 +118,7 @@ def test_a_lossless_replay_as_fast_as_it_goes_gives_the_answer_of_the_offline_fi
 
 def expected_messages(bag: Path) -> dict[str, list[bytes]]:
     """What a live fit publishes when it is given the bag's messages in order, without any ROS."""
-    live = LiveFit(FitSettings())
+    live = LiveFit(Settings())
     expected: dict[str, list[bytes]] = {}
     with BagReader(bag) as reader:
         answers = [
@@ -158,7 +158,7 @@ def test_namespace_moves_all_topics(nodes: Any, tmp_path: Path) -> None:
     made = (topics.IMU, topics.LEAN_YAW, topics.SPEED, topics.STATE, topics.RUN_INFO)
     assert {f"/bike1/{topic}" for topic in made} <= names
     recording = read_recording(bag)
-    assert len(fit_recording(recording, bicycle_of(recording, None), FitSettings()).strikes) == 1
+    assert len(fit_recording(recording, bicycle_of(recording, None), Settings()).strikes) == 1
 
 
 def test_stamps_by_the_nodes_clock(nodes: Any, tmp_path: Path) -> None:

@@ -30,8 +30,8 @@ from std_msgs.msg import UInt32
 from tms_bag import BagReader, BagWriter, RecordingError, topics
 from tms_bag.nodes.interfaces import message_class, offered_profile
 from tms_bag.writing.repair import repair
-from tms_fit.running.live import INPUTS, LiveFit
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
 from tms_msgs.msg import Handled
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
@@ -53,7 +53,7 @@ def inputs(run: Any) -> list[Any]:
 
 def offline(records: list[Any]) -> dict[str, list[bytes]]:
     """What a LiveFit publishes when it is given messages in order, without any ROS."""
-    live = LiveFit(FitSettings())
+    live = LiveFit(Settings())
     answers = [a for r in records for a in live.take(r.topic.removeprefix("/"), r.data)] + live.finish()
     found: dict[str, list[bytes]] = {"/estimate": [], "/filter_state": []}
     for answer in answers:

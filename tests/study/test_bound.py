@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tms_bag import BagWriter, read_recording
-from tms_fit.offline import bicycle_of, fit_recording
-from tms_fit.settings import PARAMETERS, FitSettings
+from tms_fit.recording_fit import bicycle_of, fit_recording
+from tms_fit.settings import PARAMETERS, Settings
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 from tms_study.bound import Experiment, bound, planned, table
@@ -91,7 +91,7 @@ def test_samples_are_those_that_a_fit_uses(rate: float, duration: float, tmp_pat
             bag.write(record)
     recording = read_recording(tmp_path / "bag")
     (fit,) = fit_recording(
-        recording, bicycle_of(recording, None), FitSettings(estimators=("least_squares",)), (3.0,)
+        recording, bicycle_of(recording, None), Settings(estimators=("least_squares",)), (3.0,)
     ).strikes
     assert fit.window is not None
     assert len(fit.window.time) == planned(scenario).count

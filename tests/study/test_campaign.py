@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from tms_bag import RecordingError
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
 from tms_study.campaign import Campaign, Row, ride_all
 from tms_study.campaign_file import CampaignFile
 from tms_study.campaign_result import summarise
 
-SETTINGS = FitSettings(window=1.0, estimators=("least_squares",))
+SETTINGS = Settings(window=1.0, estimators=("least_squares",))
 
 
 def campaign(runs: int = 2, **changes: object) -> Campaign:

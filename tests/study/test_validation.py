@@ -46,7 +46,7 @@ def test_intervals_that_are_too_narrow_are_seen(monkeypatch: pytest.MonkeyPatch)
 def test_noise_is_as_it_says() -> None:
     rng, time = np.random.default_rng(5), np.arange(151) / 100.0
     for tau in (0.05, 0.2):
-        noise = trials.coloured(tau)(rng, time, 400)
+        noise = trials.colored_noise(tau)(rng, time, 400)
         assert np.std(noise) == pytest.approx(0.02, rel=0.03)
         lag = np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2)
         assert lag == pytest.approx(np.exp(-0.01 / tau), abs=0.02)

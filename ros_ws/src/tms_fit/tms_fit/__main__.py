@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tms_bag import RecordingError, read_recording
 from tms_model import ParameterError
 from tms_model.acceleration import RESISTANCES
-from tms_model.command_line import Parser, print_json, run
+from tms_model.command_line import Command, Parser, offered_commands, print_json, run
 
 from tms_fit.arguments import add_noise_arguments, add_prior_argument, assignment, each_once, names
-from tms_fit.criticism.scrutiny import ASKED
+from tms_fit.diagnostics.output import ASKED
 from tms_fit.estimators import ESTIMATORS
-from tms_fit.joint.commands import add_arguments, print_calibration, print_together
 from tms_fit.least_squares.losses import LOSSES
-from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
-from tms_fit.result import to_json, to_table
+from tms_fit.output import to_json, to_table
+from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import (
     DEFAULT_FREE,
     INTERVALS,
@@ -27,20 +27,19 @@ from tms_fit.settings import (
     SLIPS,
     SPEED_MODELS,
     STEER_TORQUES,
-    FitSettings,
+    Settings,
 )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Parse the arguments and answer. Raises ParameterError and RecordingError."""
     words = sys.argv[1:] if argv is None else list(argv)
-    arguments = _parser().parse_args(words)
-    if arguments.command == "together":
-        print_together(arguments)
-    elif arguments.command == "calibrate":
-        print_calibration(arguments, words)
+    offered = offered_commands("tms.fit")
+    arguments = _parser(offered).parse_args(words)
+    if arguments.command in offered:
+        offered[arguments.command].run(arguments, shlex.join(["tms", "fit", *words]))
     elif arguments.command == "run":
-        estimators = tuple(arguments.estimator or FitSettings.estimators)
+        estimators = tuple(arguments.estimator or Settings.estimators)
         fit = _fit(arguments, estimators, tuple(arguments.strike))
         asked = [name for name in ASKED if getattr(arguments, name)]
         if arguments.json:
@@ -48,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         else:
             print(to_table(fit, asked))
     elif arguments.command == "report":
-        fit = _fit(arguments, tuple(arguments.estimator or FitSettings.estimators))
+        fit = _fit(arguments, tuple(arguments.estimator or Settings.estimators))
         try:
             import vl_convert  # noqa: F401  # here, since rosdep doesn't know it: all else works without
         except ImportError as error:
@@ -69,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         save_figure(figure_3b(fit, arguments.strike), Path(arguments.output))
 
 
-def _parser() -> Parser:
+def _parser(offered: Mapping[str, Command]) -> Parser:
     parser = Parser(
         prog="tms fit", description="Reads a run: strikes, initial lean rate, measured against predicted."
     )
@@ -128,7 +127,8 @@ def _parser() -> Parser:
             command.add_argument(
                 "--strike", type=int, default=1, help="which strike, counted from 1 (default 1)"
             )
-    add_arguments(commands)
+    for name, one in offered.items():
+        one.declare(commands.add_parser(name, help=one.text, description=one.text))
     return parser
 
 
@@ -152,33 +152,33 @@ def _add_fit_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--window",
         type=float,
-        default=FitSettings.window,
+        default=Settings.window,
         help="longest free response used [s] (default %(default)s)",
     )
     command.add_argument(
         "--channels",
         type=names,
-        default=FitSettings.channels,
+        default=Settings.channels,
         metavar="NAME,...",
         help="rates to compare with the model (default: lean_rate,yaw_rate)",
     )
     command.add_argument(
         "--speed-model",
         choices=SPEED_MODELS,
-        default=FitSettings.speed_model,
+        default=Settings.speed_model,
         help="the speed after the strike: as measured, constant, falling by rolling resistance, or auto: as"
         " measured where the samples show beyond doubt that it changes, else constant (default %(default)s)",
     )
     command.add_argument(
         "--resistance",
         choices=RESISTANCES,
-        default=FitSettings.resistance,
+        default=Settings.resistance,
         help="by what a speed that changes is changed (default %(default)s)",
     )
     command.add_argument(
         "--steer-torque",
         choices=STEER_TORQUES,
-        default=FitSettings.steer_torque,
+        default=Settings.steer_torque,
         help="how a known steer torque enters (default: feedback where it is proportional to the lean"
         " rate, else input)",
     )
@@ -197,7 +197,7 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--loss",
         choices=LOSSES,
-        default=FitSettings.loss,
+        default=Settings.loss,
         help="squares; huber and student_t, which outliers don't move; or auto: squares, and huber when the"
         " residuals hold outliers (default %(default)s)",
     )
@@ -210,28 +210,28 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--saturation",
         choices=SATURATIONS,
-        default=FitSettings.saturation,
+        default=Settings.saturation,
         help="saturated samples are left out, taken as at least that large, or used as they are"
         " (default %(default)s)",
     )
     command.add_argument(
         "--slip-window",
         type=float,
-        default=FitSettings.slip_window,
+        default=Settings.slip_window,
         metavar="S",
         help="time after the strike in which the front wheel slips [s] (default %(default)s)",
     )
     command.add_argument(
         "--slip",
         choices=SLIPS,
-        default=FitSettings.slip,
+        default=Settings.slip,
         help="leave that time out, or find an offset of the yaw rate that fades over it"
         " (default %(default)s)",
     )
     command.add_argument(
         "--intervals",
         choices=INTERVALS,
-        default=FitSettings.intervals,
+        default=Settings.intervals,
         help="95 %% intervals by the covariance, by profiles of the squares, or by residuals drawn anew"
         " (default %(default)s)",
     )
@@ -240,7 +240,7 @@ def _add_noise_arguments(command: argparse.ArgumentParser) -> None:
 def _fit(
     arguments: argparse.Namespace, estimators: tuple[str, ...], strike_times: tuple[float, ...] = ()
 ) -> RecordingFit:
-    settings = FitSettings(
+    settings = Settings(
         free=arguments.free,
         fixed=each_once(arguments.fix, "--fix"),
         window=arguments.window,

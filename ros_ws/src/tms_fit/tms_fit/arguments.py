@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from tms_model import ParameterError
 
-from tms_fit.settings import NOISE_MODELS, FitSettings
+from tms_fit.settings import NOISE_MODELS, Settings
 
 Value = TypeVar("Value")
 
@@ -59,7 +59,7 @@ def add_noise_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--noise",
         choices=NOISE_MODELS,
-        default=FitSettings.noise,
+        default=Settings.noise,
         help="white; autoregressive, as intervals need when neighbouring residuals are alike; white with an"
         " oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the others"
         " (default %(default)s)",
@@ -67,7 +67,7 @@ def add_noise_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--oscillator",
         type=numbers,
-        default=FitSettings.oscillator,
+        default=Settings.oscillator,
         metavar="HZ[,S[,RATE]]",
         help="what is known of that oscillation: frequency, time in which its phase is forgotten, standard"
         " deviation [rad/s] (default: found from the residuals)",

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import t as student_t
 from tms_model.bicycle import Array
 
-from tms_fit.settings import FitSettings, shaping
+from tms_fit.settings import Settings, shaping
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Estimate:
     chosen: tuple[str, ...] = ()  # what the data decided where the settings left it open, and why
     log_likelihood: float = float("nan")  # at the maximum, noise parameters included
     unknown_count: int = 0  # of the likelihood: parameters and noise parameters
-    settings: FitSettings | None = None  # as asked for
+    settings: Settings | None = None  # as asked for
     intervals: Array | None = None  # (p, 2) 95 % intervals by another way than the covariance
 
     @property
@@ -56,7 +56,7 @@ class Estimate:
 
     @property
     def nonlinear(self) -> dict[str, float]:
-        """Those of `complete` that `tms_fit.least_squares.prediction.predictor` must be told."""
+        """Those of `complete` that `tms_fit.response.prediction.predictor` must be told."""
         return shaping(self.complete)
 
     @property

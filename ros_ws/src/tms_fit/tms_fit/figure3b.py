@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tms_fit.comparison import AFTER, BEFORE, Comparison, comparison, source_of
-from tms_fit.offline import RecordingFit
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.rounding import decimals, fixed
 
 # Room for the legend; loc="outside ..." would need a newer matplotlib than Ubuntu 24.04's.

@@ -42,7 +42,7 @@ FILTERS = ("linear", "extended")
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class Settings:
     """Settings of a fit; a default stands here and nowhere else.
 
     Raises ParameterError for unknown names, a parameter both free and fixed, a prior on one that is not free,

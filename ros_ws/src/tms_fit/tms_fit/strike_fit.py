@@ -12,23 +12,23 @@ from tms_model import Bicycle, ParameterError
 from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
-from tms_fit.criticism.doubt import Doubt, doubt
+from tms_fit.diagnostics.misspecification import Misspecification, doubt
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
 from tms_fit.least_squares.intervals import with_intervals
-from tms_fit.running.alignment import Sample, Series
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import SpeedCurve, constant_speed, speed_curve
-from tms_fit.strikes.ending import Ending
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import SpeedProfile, constant_speed, fit_speed_profile
+from tms_fit.streaming.synchronizer import Sample, Series
 from tms_fit.strikes.strike import NANOSECONDS, Strike
+from tms_fit.strikes.window_end import WindowEnd
 from tms_fit.window import Window, make_window
 
 FASTEST = 1e3  # [m/s]; a faster reading is none
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """Measurements of a stretch of time: all that a window is made of, but the bicycle and the settings."""
 
     time_ns: IntArray  # (n,)
@@ -40,10 +40,10 @@ class Stretch:
     nominal_speed: float  # [m/s], where none was measured; NaN: unknown
     flagged: NDArray[np.bool_] | None = None  # (n, 3), axes that a saturated one of the sensor enters
 
-    def until(self, end_ns: int) -> Stretch:
+    def until(self, end_ns: int) -> Segment:
         """The part up to a time, which is included."""
         rows, speeds = self.time_ns <= end_ns, self.speed_time_ns <= end_ns
-        return Stretch(
+        return Segment(
             self.time_ns[rows],
             self.angular_velocity[rows],
             self.steer_torque[rows],
@@ -60,13 +60,15 @@ class StrikeFit:
     """One strike and what each estimator says about it."""
 
     strike: Strike
-    stretch: Stretch
+    stretch: Segment
     window: Window | None  # None: there was nothing to compare with, the estimates say why
     estimates: tuple[Estimate, ...]
     bicycle: str
     final: bool = True  # False: more of this response is still to come
-    ending: Ending | None = None  # what ended the response before the window did; None: nothing
-    doubt: Doubt | None = None  # why the first estimate may be wrong by more than its interval, if final
+    ending: WindowEnd | None = None  # what ended the response before the window did; None: nothing
+    doubt: Misspecification | None = (
+        None  # why the first estimate may be wrong by more than its interval, if final
+    )
 
     @property
     def start_ns(self) -> int:
@@ -91,10 +93,10 @@ def stretch_of(
     speed: Series,
     nominal_speed: float,
     flagged: NDArray[np.bool_] | None = None,
-) -> Stretch:
-    """Stretch of some samples, one at least, in ascending time; flagged (n, 3): see Stretch."""
+) -> Segment:
+    """Segment of some samples, one at least, in ascending time; flagged (n, 3): see Segment."""
     speed_time_ns, speeds, variances = speed.between(samples[0].time_ns, samples[-1].time_ns)
-    return Stretch(
+    return Segment(
         np.array([one.time_ns for one in samples]),
         np.array([one.angular_velocity for one in samples]),
         np.array([one.steer_torque for one in samples]),
@@ -106,7 +108,7 @@ def stretch_of(
     )
 
 
-def window_of(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> Window:
+def window_of(stretch: Segment, bicycle: Bicycle, settings: Settings) -> Window:
     """Window of a stretch. Raises ParameterError where the speed isn't known."""
     torque = stretch.steer_torque if np.isfinite(stretch.steer_torque).any() else None
     speed = _speed(stretch, bicycle, settings)
@@ -117,11 +119,11 @@ def window_of(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> Wind
 
 def fit_strike(
     strike: Strike,
-    stretch: Stretch,
+    stretch: Segment,
     bicycle: Bicycle,
-    settings: FitSettings,
+    settings: Settings,
     final: bool = True,
-    ending: Ending | None = None,
+    ending: WindowEnd | None = None,
 ) -> StrikeFit:
     """Fit the free response after a strike, that the stretch holds, by all estimators of the settings.
 
@@ -144,7 +146,9 @@ def fit_strike(
     return StrikeFit(strike, stretch, window, told, bicycle.name, final, ending, why)
 
 
-def _told(estimates: tuple[Estimate, ...], ending: Ending | None, why: Doubt | None) -> tuple[Estimate, ...]:
+def _told(
+    estimates: tuple[Estimate, ...], ending: WindowEnd | None, why: Misspecification | None
+) -> tuple[Estimate, ...]:
     """The estimates, their messages with what cut the window short and what makes them doubtful.
 
     The doubt is about the first estimate, and about others of the same unknowns.
@@ -157,13 +161,13 @@ def _told(estimates: tuple[Estimate, ...], ending: Ending | None, why: Doubt | N
     return tuple(told)
 
 
-def _speed(stretch: Stretch, bicycle: Bicycle, settings: FitSettings) -> SpeedCurve:
+def _speed(stretch: Segment, bicycle: Bicycle, settings: Settings) -> SpeedProfile:
     if "speed" in settings.fixed:
         return constant_speed(settings.fixed["speed"])
     speed = np.where(np.abs(stretch.speed) < FASTEST, stretch.speed, np.nan)
     if np.isfinite(speed).any():
         first_ns = stretch.time_ns[0]
-        return speed_curve(
+        return fit_speed_profile(
             (stretch.speed_time_ns - first_ns) / NANOSECONDS,
             speed,
             stretch.speed_variance,

@@ -13,8 +13,8 @@ from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 
 from tms_fit.least_squares.censoring import saturated
-from tms_fit.settings import FitSettings
-from tms_fit.speed_curve import SpeedCurve
+from tms_fit.settings import Settings
+from tms_fit.speed_profile import SpeedProfile
 
 FEEDBACK_R2 = (
     0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
@@ -34,7 +34,7 @@ class Window:
     lean_rate: Array  # (n,) [rad/s]
     yaw_rate: Array  # (n,) [rad/s]
     bicycle: Bicycle  # compared with, without the feedback of this run
-    speed: SpeedCurve
+    speed: SpeedProfile
     steer_torque: Array | None = None  # (n,) [N m] known input, each value held until the next sample
     lean_rate_gain: float = 0.0  # [N m s/rad] lean-rate feedback on the steer torque, 0: none
     lean_rate_gain_std: float = 0.0  # of the gain, where it was found from the torque and the lean rate
@@ -65,10 +65,10 @@ class Window:
 
 def make_window(
     bicycle: Bicycle,
-    settings: FitSettings,
+    settings: Settings,
     time_ns: NDArray[np.int64],
     angular_velocity: Array,
-    speed: SpeedCurve,
+    speed: SpeedProfile,
     steer_torque: Array | None,
     flagged: NDArray[np.bool_] | None = None,
 ) -> Window:
@@ -112,7 +112,7 @@ def make_window(
 
 
 def _saturated(
-    angular_velocity: Array, flagged: NDArray[np.bool_] | None, settings: FitSettings
+    angular_velocity: Array, flagged: NDArray[np.bool_] | None, settings: Settings
 ) -> Array | None:
     """Signs (n, 2) of the limits that lean rate and yaw rate stand at, by their size or a flag."""
     if settings.saturation == "use" or (settings.gyroscope_range is None and flagged is None):

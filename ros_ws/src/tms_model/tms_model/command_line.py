@@ -9,7 +9,8 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from importlib.metadata import entry_points
+from typing import Any, NamedTuple, NoReturn
 
 
 class Parser(argparse.ArgumentParser):
@@ -18,6 +19,19 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Say in one line what is wrong with the arguments and leave with exit code 2."""
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see '{self.prog} --help')\n")
+
+
+class Command(NamedTuple):
+    """A sub-command that a package offers to another one's command line, as an entry point."""
+
+    text: str  # one line of help
+    declare: Callable[[Parser], None]  # adds its arguments
+    run: Callable[[argparse.Namespace, str], None]  # with the arguments, and the command line as typed
+
+
+def offered_commands(group: str) -> dict[str, Command]:
+    """Sub-commands that installed packages offer under an entry-point group such as `tms.fit`."""
+    return {point.name: point.load() for point in entry_points(group=group)}
 
 
 def run(

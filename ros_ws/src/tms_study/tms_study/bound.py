@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from tms_fit.criticism.hypotheses import SLIP as SLIP_WINDOW
-from tms_fit.least_squares.prediction import derivative, predictor
-from tms_fit.settings import CHANNELS, FRICTION, INITIAL, LINEAR, FitSettings, shaping
-from tms_fit.speed_curve import SpeedCurve, constant_speed
+from tms_fit.diagnostics.hypothesis_tests import SLIP as SLIP_WINDOW
+from tms_fit.response.prediction import derivative, predictor
+from tms_fit.settings import CHANNELS, FRICTION, INITIAL, LINEAR, Settings, shaping
+from tms_fit.speed_profile import SpeedProfile, constant_speed
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle
 from tms_model.acceleration import coasting_loss
@@ -65,7 +65,7 @@ class Bound:
     std: dict[str, float]  # by parameter, SI, no bias of an absent channel; empty: can't be told apart
 
 
-def planned(scenario: Scenario, window: float = FitSettings.window) -> Experiment:
+def planned(scenario: Scenario, window: float = Settings.window) -> Experiment:
     """The experiment that a scenario describes, with a free response of `window` [s] used at most."""
     rate = scenario.number("imu.rate")
     # imu/lean_yaw holds every n-th sample as it is, with the noise of one sample of the faster raw topic.
@@ -193,7 +193,7 @@ def _window(scenario: Scenario, ride: Conditions, time: Array) -> Window:
         bicycle=changed_bicycle(
             load_bicycle(scenario.text("bicycle")), load_intervention(scenario.text("intervention"))
         ),
-        speed=SpeedCurve(np.array([speed, acceleration]), np.zeros((2, 2)))
+        speed=SpeedProfile(np.array([speed, acceleration]), np.zeros((2, 2)))
         if acceleration
         else constant_speed(speed),
         lean_rate_gain=scenario.number("steer_torque.lean_rate_gain"),

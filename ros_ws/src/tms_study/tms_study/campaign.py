@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 from tms_bag import BagWriter, read_recording, topics
-from tms_fit.offline import bicycle_of, first_stamp, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import bicycle_of, first_stamp, fit_recording
+from tms_fit.settings import Settings
 from tms_fit.strike_fit import StrikeFit
 from tms_model import ParameterError
 from tms_sim.run import SimulatedRun, simulate
@@ -43,7 +43,7 @@ class Campaign:
     varied: Mapping[str, tuple[Any, ...]]  # values by key; every combination is ridden
     runs: int  # of each combination
     seed: int  # of the first run of each; the next has the next seed
-    settings: FitSettings
+    settings: Settings
     given: bool = False  # the fit is told when each impulse ended; else it looks for the strikes
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tms_fit.estimators import ESTIMATORS
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
 from tms_model import ParameterError
 from tms_model.command_line import print_json
 from tms_sim.scenario import parse_change
@@ -105,8 +105,8 @@ def _values(text: str) -> tuple[str, tuple[Any, ...]]:
     return key, tuple(values)
 
 
-def _settings(changes: list[str], estimator: str) -> FitSettings:
-    known = {field.name for field in fields(FitSettings)} - {"estimators"}
+def _settings(changes: list[str], estimator: str) -> Settings:
+    known = {field.name for field in fields(Settings)} - {"estimators"}
     asked: dict[str, Any] = {}
     for text in changes:
         name, value = parse_change(text)
@@ -114,7 +114,7 @@ def _settings(changes: list[str], estimator: str) -> FitSettings:
             raise ParameterError(f"--fit: unknown {name!r}; expected of {', '.join(sorted(known))}")
         asked[name] = tuple(value) if isinstance(value, list) else value
     try:
-        return FitSettings(**asked, estimators=(estimator,))
+        return Settings(**asked, estimators=(estimator,))
     except (TypeError, ValueError, AttributeError) as error:
         raise ParameterError(
             f"--fit: expected values of the right kind, found {', '.join(changes)}: {error}"

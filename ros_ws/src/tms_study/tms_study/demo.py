@@ -16,10 +16,10 @@ from tms_bag import BagReader, RecordingError, read_recording
 from tms_bag.messages import deserialize
 from tms_fit.figure3b import figure_3b
 from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE
-from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
-from tms_fit.result import to_json
-from tms_fit.running.live import INPUTS
-from tms_fit.settings import FitSettings
+from tms_fit.output import to_json
+from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import INPUTS
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure
 from tms_model.whole_file import write_whole
@@ -46,7 +46,7 @@ def demo(output: Path, scenario: str, seed: int) -> str:
             _estimate(folder, bicycle)
         _say("offline fit of the same bag")
         recording = read_recording(folder / "bag")
-        fit = fit_recording(recording, bicycle_of(recording, bicycle), FitSettings())
+        fit = fit_recording(recording, bicycle_of(recording, bicycle), Settings())
         document = {**to_json(fit), "bag": str(output / "bag")}
         write_whole(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
         save_figure(figure_3b(fit), folder / "figure_3b.png")

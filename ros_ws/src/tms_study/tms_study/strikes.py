@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from tms_fit.offline import feed
-from tms_fit.running.online import OnlineFit, StrikeFit
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import feed
+from tms_fit.settings import Settings
+from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_fit.strikes.detector import StrikeDetector
 from tms_model import LinearSystem, linear_system, load_bicycle, response
 from tms_model.bicycle import Array
@@ -146,7 +146,7 @@ def _run(case: Case, rng: np.random.Generator) -> SimulatedRun:
 
 
 def _fits(run: SimulatedRun) -> list[StrikeFit]:
-    settings = FitSettings(estimators=("least_squares",), noise="white")
+    settings = Settings(estimators=("least_squares",), noise="white")
     bicycle = load_bicycle(run.info.bicycle)
     online = OnlineFit(bicycle, settings, run.info.imu_orientation, run.info.speed, running_filter=False)
     feed(online, run)  # type: ignore[arg-type]  # it has what a recording has

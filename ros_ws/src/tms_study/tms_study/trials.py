@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from tms_fit.least_squares.prediction import predictor
+from tms_fit.response.prediction import predictor
 from tms_fit.settings import shaping
-from tms_fit.speed_curve import constant_speed
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle
 from tms_model.bicycle import Array
@@ -50,7 +50,7 @@ def shimmy(rng: np.random.Generator, time: Array, runs: int) -> Array:
     return noise
 
 
-def coloured(time_constant: float) -> NoiseMaker:
+def colored_noise(time_constant: float) -> NoiseMaker:
     """Noise with memory: first-order autoregressive, its correlation falling with a time constant [s]."""
 
     def make(rng: np.random.Generator, time: Array, runs: int) -> Array:

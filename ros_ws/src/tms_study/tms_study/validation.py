@@ -11,14 +11,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from tms_fit.criticism.hypotheses import impulse_ratio, verdicts
+from tms_fit.diagnostics.hypothesis_tests import impulse_ratio, run_hypothesis_tests
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.kalman.batch import filter_batch, smooth_start
 from tms_fit.kalman.state_space import bicycle_space
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.offline import feed, orientation_of
-from tms_fit.running.online import OnlineFit, StrikeFit
-from tms_fit.settings import DEFAULT_FREE, FitSettings
+from tms_fit.recording_fit import feed, orientation_of
+from tms_fit.response.prediction import predictor
+from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle
 from tms_model.bicycle import Array
@@ -29,7 +29,7 @@ from tms_study import trials
 from tms_study.bound import Experiment, bound
 from tms_study.findings import Finding
 
-SETTINGS = FitSettings(free=DEFAULT_FREE, steer_torque="ignore", estimators=("least_squares",))
+SETTINGS = Settings(free=DEFAULT_FREE, steer_torque="ignore", estimators=("least_squares",))
 SQUARES = replace(SETTINGS, noise="white", loss="squares")  # what the batch does
 INDEX = DEFAULT_FREE.index("initial_lean_rate")
 
@@ -100,7 +100,7 @@ def _least(window: Window) -> float:
     return bound(load_scenario("tms_strike"), experiment, DEFAULT_FREE).std["initial_lean_rate"]
 
 
-def _fits(window: Window, noise: Array, settings: FitSettings = SETTINGS) -> tuple[Array, Array]:
+def _fits(window: Window, noise: Array, settings: Settings = SETTINGS) -> tuple[Array, Array]:
     """Errors [rad/s] of the initial lean rate in runs with noise (r, n, 2), and if the interval holds."""
     found = [fit_window(trials.with_rates(window, window.measured + one), settings) for one in noise]
     error = np.array([one.parameters["initial_lean_rate"] - trials.LEAN_RATE for one in found])
@@ -113,8 +113,8 @@ def _by_noise(rng: np.random.Generator, runs: int) -> list[Finding]:
     window, found = trials.truth(), []
     for topic, make in (
         ("20 Hz shimmy", trials.shimmy),
-        ("AR(1), tau 0.05 s", trials.coloured(0.05)),
-        ("AR(1), tau 0.2 s", trials.coloured(0.2)),
+        ("AR(1), tau 0.05 s", trials.colored_noise(0.05)),
+        ("AR(1), tau 0.2 s", trials.colored_noise(0.2)),
     ):
         error, inside = _fits(window, make(rng, window.time, runs))
         found.append(_coverage(topic, inside, 0.93, 0.97))
@@ -245,17 +245,17 @@ def _hypotheses(rng: np.random.Generator, runs: int) -> list[Finding]:
     for hypothesis, (parameter, window) in _effects().items():
         seen = 0
         for noise in trials.white(rng, window.time, each):
-            told = verdicts(trials.with_rates(window, window.measured + noise), SETTINGS)
+            told = run_hypothesis_tests(trials.with_rates(window, window.measured + noise), SETTINGS)
             seen += any(one.rejected for one in told if one.parameter == parameter and one.assumed == 0.0)
         found.append(
             Finding("a wrong hypothesis", f"{hypothesis}: rejected, share", seen / each, 1.0, 1.0, each)
         )
     right = trials.truth()
-    noises = {f"AR(1), tau {tau:g} s": trials.coloured(tau) for tau in (0.05, 0.2)}
+    noises = {f"AR(1), tau {tau:g} s": trials.colored_noise(tau) for tau in (0.05, 0.2)}
     for topic, make in {"white noise": trials.white, **noises}.items():
         alarms, tested = 0, 0
         for noise in make(rng, right.time, each * 2):
-            told = verdicts(trials.with_rates(right, right.measured + noise), SETTINGS)
+            told = run_hypothesis_tests(trials.with_rates(right, right.measured + noise), SETTINGS)
             judged = [one for one in told if one.assumed == 0.0]
             alarms, tested = alarms + sum(one.rejected for one in judged), tested + len(judged)
         found.append(

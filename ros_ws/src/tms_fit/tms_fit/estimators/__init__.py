@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
-from tms_fit.settings import FitSettings, check_known
+from tms_fit.settings import Settings, check_known
 from tms_fit.window import Window
 
-Estimator = Callable[[Window, FitSettings], Estimate]
+Estimator = Callable[[Window, Settings], Estimate]
 
 ESTIMATORS: dict[str, Estimator] = {
     "least_squares": least_squares.fit_window,

@@ -24,18 +24,18 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
 from tms_fit.estimate import Estimate
-from tms_fit.estimators.least_squares import decide, fit_choice
-from tms_fit.least_squares.answer import in_order, variance_accounted_for
-from tms_fit.least_squares.choices import choose
-from tms_fit.least_squares.motion import Motion, motion
-from tms_fit.least_squares.projection import Problem
-from tms_fit.settings import BIASES, FRICTION, INITIAL, NONLINEAR, SLIP, FitSettings
+from tms_fit.estimators.least_squares import decide, fit_model
+from tms_fit.least_squares.make_estimate import in_order, variance_accounted_for
+from tms_fit.least_squares.model_selection import choose
+from tms_fit.least_squares.varpro import Problem
+from tms_fit.response.discretization import Transitions, discretize
+from tms_fit.settings import BIASES, FRICTION, INITIAL, NONLINEAR, SLIP, Settings
 from tms_fit.window import Window
 
 PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give
 
 
-def estimate(window: Window, settings: FitSettings) -> Estimate:
+def estimate(window: Window, settings: Settings) -> Estimate:
     """Smoothed initial state and biases; for NONLINEAR parameters the values of least squares.
 
     What the settings leave open is decided as for `least_squares`.
@@ -49,11 +49,11 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
     linear = choice.problem.linear
     if not linear or {*choice.problem.priors} & {*linear} or SLIP in choice.free or rubbing:
         return replace(
-            fit_choice("kalman_rts", choice, settings),
+            fit_model("kalman_rts", choice, settings),
             message="priors on what is linear, slip, friction, or nothing linear: least squares instead of a"
             " smoother",
         )
-    squares = fit_choice("kalman_rts", choice, settings)
+    squares = fit_model("kalman_rts", choice, settings)
     if squares.status != "ok":
         return in_order(squares, choice.free)
     known = {name: value for name, value in squares.complete.items() if name not in choice.problem.linear}
@@ -115,7 +115,7 @@ def smooth(problem: Problem, rough: Array) -> tuple[Array, Array]:
     kalman.P = np.diag([prior.get(name, 0.0) ** 2 for name in names])
     index = [names.index(name) for name in prior]
     start, uncertainty = kalman.x[index, 0], kalman.P[np.ix_(index, index)]
-    moved = motion(window, {name: value for name, value in fixed.items() if name in NONLINEAR})
+    moved = discretize(window, {name: value for name, value in fixed.items() if name in NONLINEAR})
     measured = window.measured - [0.0 if name in names else fixed.get(name, 0.0) for name in BIASES]
     torque = np.zeros(len(window.time)) if window.steer_torque is None else np.nan_to_num(window.steer_torque)
     turn = _sensor_turn(fixed.get("mounting_pitch", 0.0))
@@ -149,7 +149,7 @@ def _names(prior: dict[str, float]) -> tuple[str, ...]:
     return (*INITIAL, *(name for name in BIASES if name in prior))
 
 
-def _transition(moved: Motion, k: int, size: int) -> tuple[Array, Array]:
+def _transition(moved: Transitions, k: int, size: int) -> tuple[Array, Array]:
     """F (size, size) and the torque's column (size, 1) from the sample before to sample k."""
     transition, control = np.eye(size), np.zeros((size, 1))
     transition[:4, :4], control[:4, 0] = moved.transitions[k], moved.torque_steps[k]

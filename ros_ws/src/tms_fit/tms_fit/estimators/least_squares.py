@@ -12,19 +12,19 @@ from dataclasses import replace
 import numpy as np
 
 from tms_fit.estimate import Estimate
-from tms_fit.least_squares.alternation import fit_problem
-from tms_fit.least_squares.answer import answer, in_order, too_short
-from tms_fit.least_squares.choices import (
-    Choice,
+from tms_fit.least_squares.irls import fit_problem
+from tms_fit.least_squares.losses import Loss
+from tms_fit.least_squares.make_estimate import answer, in_order, too_short
+from tms_fit.least_squares.model_selection import (
+    ModelSpec,
     at_found,
     choose,
     decelerating,
     unsteady,
     without_resistance,
 )
-from tms_fit.least_squares.losses import Loss
-from tms_fit.least_squares.noise.autoregressive import remembers
-from tms_fit.settings import FitSettings
+from tms_fit.noise.ar import is_autocorrelated
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 OF = "initial_lean_rate"
@@ -33,7 +33,7 @@ PLACES = 401  # of an instant between two samples
 CERTAIN = 20.0  # by which what nobody asked for must lower BIC to be believed
 
 
-def fit_window(window: Window, settings: FitSettings) -> Estimate:
+def fit_window(window: Window, settings: Settings) -> Estimate:
     """Best-fitting free parameters of a window; the message says what `settings` left open.
 
     Never raises for what a recording holds: an answer that can't be given is one with another status.
@@ -42,15 +42,15 @@ def fit_window(window: Window, settings: FitSettings) -> Estimate:
     return in_order(estimate, choice.free)
 
 
-def decide(window: Window, settings: FitSettings) -> tuple[Choice, Estimate]:
+def decide(window: Window, settings: Settings) -> tuple[ModelSpec, Estimate]:
     """What is to be found, where `settings` leave it open, and the estimate of it."""
     choice = choose(window, settings)
     if choice.coasting:
         return _coasting(choice, settings)
-    estimate = fit_choice("least_squares", choice, settings)
+    estimate = fit_model("least_squares", choice, settings)
     falling = decelerating(choice, settings)
     if falling is not None and estimate.status == "ok":
-        other = fit_choice("least_squares", falling, settings)
+        other = fit_model("least_squares", falling, settings)
         if other.status == "ok" and other.bic < estimate.bic - CERTAIN:
             choice, estimate = falling, other
     if estimate.status == "ok" and estimate.noise_model != "white":
@@ -58,33 +58,33 @@ def decide(window: Window, settings: FitSettings) -> tuple[Choice, Estimate]:
     return choice, estimate
 
 
-def _coasting(choice: Choice, settings: FitSettings) -> tuple[Choice, Estimate]:
+def _coasting(choice: ModelSpec, settings: Settings) -> tuple[ModelSpec, Estimate]:
     """The same where a rolling resistance is found that nobody asked for.
 
     Starts are compared at the resistance that each has under white noise: under noise that is found with it,
     the search goes slowly where the start is wrong.
     """
-    narrow = fit_choice("least_squares", replace(choice, noise="white"), settings)
+    narrow = fit_model("least_squares", replace(choice, noise="white"), settings)
     found = choice
     for rival in unsteady(choice, settings) if settings.noise != "white" else []:
-        wide = fit_choice("least_squares", replace(rival, noise="white"), settings)
-        if not (narrow.status == wide.status == "ok" and remembers(narrow.residual)):
+        wide = fit_model("least_squares", replace(rival, noise="white"), settings)
+        if not (narrow.status == wide.status == "ok" and is_autocorrelated(narrow.residual)):
             continue
         here, there = (
             _bic(at_found(one, fit), "ar", settings) for one, fit in ((choice, narrow), (rival, wide))
         )
         if wide.bic < narrow.bic - CERTAIN and there < here - CERTAIN:
             found = rival
-    estimate = fit_choice("least_squares", found, settings)
+    estimate = fit_model("least_squares", found, settings)
     if estimate.status == "ok":
         constant = without_resistance(found, settings)
-        estimate = _instead(estimate, choice.coasting, fit_choice("least_squares", constant, settings))
+        estimate = _instead(estimate, choice.coasting, fit_model("least_squares", constant, settings))
         if found is not choice:
             estimate = _instead(estimate, found.reasons[-1], narrow)
     return found, estimate
 
 
-def _unsteady(choice: Choice, estimate: Estimate, settings: FitSettings) -> tuple[Choice, Estimate]:
+def _unsteady(choice: ModelSpec, estimate: Estimate, settings: Settings) -> tuple[ModelSpec, Estimate]:
     """A start that is not upright and straight, if residuals that are alike speak for it beyond doubt.
 
     All hypotheses are compared under autoregressive noise, which the narrowest might need as well. The widest
@@ -94,14 +94,14 @@ def _unsteady(choice: Choice, estimate: Estimate, settings: FitSettings) -> tupl
     if not rivals or not _bic(rivals[-1], "white", settings) < _bic(choice, "white", settings) - CERTAIN:
         return choice, estimate
     least = _bic(choice, "ar", settings) - CERTAIN
-    found: Choice | None = None
+    found: ModelSpec | None = None
     for rival in rivals:
         bic = _bic(rival, "ar", settings)
         if bic < least:
             found, least = rival, bic
     if found is None:
         return choice, estimate
-    answer = fit_choice("least_squares", found, settings)
+    answer = fit_model("least_squares", found, settings)
     if answer.status != "ok":
         return choice, estimate
     return found, _instead(answer, found.reasons[-1], estimate)
@@ -115,13 +115,13 @@ def _instead(estimate: Estimate, why: str, other: Estimate) -> Estimate:
     return replace(estimate, chosen=tuple(told if one == why else one for one in estimate.chosen))
 
 
-def _bic(choice: Choice, noise: str, settings: FitSettings) -> float:
+def _bic(choice: ModelSpec, noise: str, settings: Settings) -> float:
     """BIC under a noise model, infinite where there is no answer."""
-    found = fit_choice("least_squares", replace(choice, noise=noise), settings)
+    found = fit_model("least_squares", replace(choice, noise=noise), settings)
     return found.bic if found.status == "ok" else math.inf
 
 
-def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
+def fit_model(name: str, choice: ModelSpec, settings: Settings) -> Estimate:
     """The estimate for what was chosen, under an estimator's name."""
     reason = too_short(choice.problem)
     if reason:
@@ -130,7 +130,7 @@ def fit_choice(name: str, choice: Choice, settings: FitSettings) -> Estimate:
     return answer(name, choice, fitted, settings)
 
 
-def refine_start(window: Window, settings: FitSettings, longest_delay: float) -> Window:
+def refine_start(window: Window, settings: Settings, longest_delay: float) -> Window:
     """The window with the strike's instant between two samples estimated.
 
     The delay [s] lies between 0 and `longest_delay`, anywhere with the same probability before the response
@@ -144,7 +144,7 @@ def refine_start(window: Window, settings: FitSettings, longest_delay: float) ->
     return window if decided.free == first.free else _dated(window, decided, settings)
 
 
-def _dated(window: Window, choice: Choice, settings: FitSettings) -> Window:
+def _dated(window: Window, choice: ModelSpec, settings: Settings) -> Window:
     """The window with the mean and the deviation of the instant, given the response.
 
     Least squares leaves a normal distribution, which ends at the two samples: at one of them neither its peak

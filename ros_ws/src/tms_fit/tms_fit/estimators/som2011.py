@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from tms_fit.estimate import Estimate
-from tms_fit.estimators.least_squares import fit_choice
-from tms_fit.least_squares.choices import choose
-from tms_fit.settings import LINEAR, FitSettings
-from tms_fit.speed_curve import constant_speed
+from tms_fit.estimators.least_squares import fit_model
+from tms_fit.least_squares.model_selection import choose
+from tms_fit.settings import LINEAR, Settings
+from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 
 FREE = ("initial_lean_rate",)
@@ -18,7 +18,7 @@ TAKEN = (
 )
 
 
-def estimate(window: Window, settings: FitSettings) -> Estimate:
+def estimate(window: Window, settings: Settings) -> Estimate:
     """Initial lean rate from the lean rate; lean, steer, steer rate start at zero, whatever is asked for."""
     curve = window.speed
     middle = curve.origin if curve.extrapolated or not len(window.time) else 0.5 * float(window.time[-1])
@@ -36,7 +36,7 @@ def estimate(window: Window, settings: FitSettings) -> Estimate:
         oscillator=(),
         loss="squares",
     )
-    answer = fit_choice("som2011", choose(constant, plain), plain)
+    answer = fit_model("som2011", choose(constant, plain), plain)
     if answer.status != "ok":
         return answer
     words = answer.message.replace("linear least squares", "least squares as in 2011")

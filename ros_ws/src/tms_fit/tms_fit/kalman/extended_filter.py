@@ -2,7 +2,7 @@
 
 To the state of the bicycle come four slow ones (SLOW): the gyroscopes' biases, the speed and C_r. The
 bicycle coasts, v' = -C_r g m / m_eff (`tms_fit.kalman.coasting`); all slow states wander a little
-(`Wandering`).
+(`ProcessNoise`).
 Lean rate and yaw rate are measured, and the speed wherever somebody measures it: a speed that is only
 stated is no more than a first guess.
 
@@ -31,7 +31,7 @@ from tms_model.response import LEAN_RATE, STEER, yaw_row
 
 from tms_fit.kalman.coasting import Coasting
 from tms_fit.kalman.running_filter import FIRST_STD, STRIKE_STD, FilterStep, RunningFilter
-from tms_fit.kalman.transitions import Transitions
+from tms_fit.kalman.transitions import TransitionCache
 
 SLOW = ("lean_rate_bias", "yaw_rate_bias", "speed", "rolling_resistance")  # [rad/s], [rad/s], [m/s], [-]
 BIAS, SPEED, RESISTANCE, SIZE = slice(4, 6), 6, 7, 8
@@ -39,7 +39,7 @@ REMEMBERED = 3_000_000_000  # [ns]; a strike is known by then
 
 
 @dataclass(frozen=True)
-class FirstGuess:
+class InitialState:
     """What is known of the states at the first sample; standard deviations."""
 
     state_std: tuple[float, float, float, float] = FIRST_STD
@@ -51,7 +51,7 @@ class FirstGuess:
 
 
 @dataclass(frozen=True)
-class Wandering:
+class ProcessNoise:
     """Disturbances by white noise, and the noise of a measured speed."""
 
     # A tenth of what the linear filter allows for: see the module.
@@ -69,17 +69,17 @@ class ExtendedFilter(RunningFilter):
         self,
         bicycle: Bicycle,
         noise: float,
-        first: FirstGuess | None = None,
-        wandering: Wandering | None = None,
+        first: InitialState | None = None,
+        wandering: ProcessNoise | None = None,
     ) -> None:
         """noise [rad/s]: standard deviation of a reading where a sample states none."""
         super().__init__(bicycle, noise)
-        self._first, self._wandering = first or FirstGuess(), wandering or Wandering()
+        self._first, self._wandering = first or InitialState(), wandering or ProcessNoise()
         self._coasting = Coasting(bicycle)
         self._speed_ns: int | None = None  # stamp of the last speed used
         self._past: deque[tuple[int, int | None, Array, Array]] = deque()
         w = self._wandering
-        self._transitions = Transitions(bicycle, np.diag(np.square([0.0, 0.0, *w.acceleration])))
+        self._transitions = TransitionCache(bicycle, np.diag(np.square([0.0, 0.0, *w.acceleration])))
         slow = (w.bias, w.bias, w.speed, w.rolling_resistance)
         self._density = np.diag(np.square([0.0] * 4 + [*slow]))
 

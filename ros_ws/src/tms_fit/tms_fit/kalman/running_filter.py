@@ -18,7 +18,7 @@ from tms_model import Bicycle
 from tms_model.bicycle import Array
 from tms_model.response import LEAN, LEAN_RATE, STEER, yaw_row
 
-from tms_fit.kalman.transitions import Transitions
+from tms_fit.kalman.transitions import TransitionCache
 
 FIRST_STD = (0.1, 0.1, 1.0, 2.0)  # [rad, rad, rad/s, rad/s], of the state at the first sample
 STRIKE_STD = (0.02, 0.02, 2.0, 5.0)  # the same where a strike begins: upright, but of unknown rates
@@ -56,7 +56,7 @@ class RunningFilter:
         self._kalman = self._new_filter()
         self._time_ns: int | None = None
         self._strike = False  # the next sample is the first after a strike
-        self._transitions = Transitions(bicycle, np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)]))
+        self._transitions = TransitionCache(bicycle, np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)]))
         self._noise: dict[tuple[float, float], Array] = {}
         self._turn = float(yaw_row(bicycle, 1.0)[STEER])  # yaw rate per steer and speed [1/m]
 

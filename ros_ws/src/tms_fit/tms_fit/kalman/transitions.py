@@ -44,7 +44,7 @@ def speed_polynomial(bicycle: Bicycle) -> Array:
     return found
 
 
-class Transitions:
+class TransitionCache:
     """The steps of one bicycle, remembered by speed and duration."""
 
     def __init__(self, bicycle: Bicycle, density: Array) -> None:

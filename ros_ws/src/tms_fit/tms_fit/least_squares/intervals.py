@@ -25,12 +25,12 @@ from scipy.optimize import brentq
 from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
-from tms_fit.least_squares.alternation import Fitted, fit_problem
-from tms_fit.least_squares.choices import choose
+from tms_fit.least_squares.irls import Fitted, fit_problem
 from tms_fit.least_squares.losses import Loss
+from tms_fit.least_squares.model_selection import choose
 from tms_fit.least_squares.nuisance import nuisance_covariance
-from tms_fit.least_squares.projection import Problem, solve
-from tms_fit.settings import FitSettings
+from tms_fit.least_squares.varpro import Problem, solve
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 FARTHEST = 8.0  # standard errors from the estimate in which an end is looked for
@@ -50,7 +50,7 @@ class Profile:
     interval: tuple[float, float]  # where |t| is the quantile; infinite where it isn't reached
 
 
-def with_intervals(window: Window, estimate: Estimate, settings: FitSettings) -> Estimate:
+def with_intervals(window: Window, estimate: Estimate, settings: Settings) -> Estimate:
     """The estimate with its 95 % intervals by the way that the settings name."""
     if settings.intervals == "wald" or estimate.status != "ok":
         return estimate
@@ -63,7 +63,7 @@ def with_intervals(window: Window, estimate: Estimate, settings: FitSettings) ->
     return replace(estimate, intervals=np.stack([estimate.values - low, estimate.values - high], axis=1))
 
 
-def profile(window: Window, estimate: Estimate, settings: FitSettings, name: str) -> Profile:
+def profile(window: Window, estimate: Estimate, settings: Settings, name: str) -> Profile:
     """Profile of one of the estimate's parameters."""
     problem, fitted = _again(window, estimate, settings)
     value, std = estimate.parameters[name], float(estimate.std[estimate.names.index(name)])
@@ -80,7 +80,7 @@ def profile(window: Window, estimate: Estimate, settings: FitSettings, name: str
     return Profile(name, values, np.array([t(float(one)) for one in values]), (ends[0], ends[1]))
 
 
-def bootstrap(window: Window, estimate: Estimate, settings: FitSettings, rng: np.random.Generator) -> Array:
+def bootstrap(window: Window, estimate: Estimate, settings: Settings, rng: np.random.Generator) -> Array:
     """Errors (REPLICATES, p) of estimates from residuals drawn anew, in the order of the estimate's names."""
     problem, fitted = _again(window, estimate, settings)
     solution = fitted.solution
@@ -97,7 +97,7 @@ def bootstrap(window: Window, estimate: Estimate, settings: FitSettings, rng: np
     return answer
 
 
-def _again(window: Window, estimate: Estimate, settings: FitSettings) -> tuple[Problem, Fitted]:
+def _again(window: Window, estimate: Estimate, settings: Settings) -> tuple[Problem, Fitted]:
     """The problem of an estimate, and its solution under the noise that was found."""
     asked = replace(settings, free=estimate.names, noise=estimate.noise_model, loss=estimate.loss)
     if asked.noise != "oscillator":

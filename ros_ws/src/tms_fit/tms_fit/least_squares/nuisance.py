@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from tms_model.bicycle import Array
 
-from tms_fit.least_squares.prediction import Predictor, derivative, predictor
-from tms_fit.least_squares.projection import Problem, Rows, Solution
+from tms_fit.least_squares.varpro import Problem, Rows, Solution
+from tms_fit.response.prediction import Predictor, derivative, predictor
 from tms_fit.settings import shaping
 from tms_fit.window import Window
 

@@ -24,8 +24,8 @@ from tms_model import ParameterError
 from tms_model.bicycle import Array
 
 from tms_fit.least_squares.gram import GramSeries, chebyshev_transform, gram_series
-from tms_fit.least_squares.prediction import predictor
-from tms_fit.least_squares.projection import LINEAR_RANK, Problem, full_rank, starting_values
+from tms_fit.least_squares.varpro import LINEAR_RANK, Problem, full_rank, starting_values
+from tms_fit.response.prediction import predictor
 
 FIRST, MOST = 8, 64  # Chebyshev points per parameter, to begin with and at most
 TOLERANCE = 1e-9  # of the basis and the series, per largest prediction

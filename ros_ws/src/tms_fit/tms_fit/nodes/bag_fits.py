@@ -19,8 +19,8 @@ from tms_msgs.action import FitRecording
 
 from tms_fit.nodes.refit import estimates_of
 from tms_fit.nodes.requests import asked_for
-from tms_fit.offline import RecordingFit, bicycle_of, fit_recording
-from tms_fit.settings import FitSettings
+from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
+from tms_fit.settings import Settings
 
 LOOK = 0.1  # [s] between looks at the fits under way
 
@@ -28,7 +28,7 @@ LOOK = 0.1  # [s] between looks at the fits under way
 class BagFits:
     """The action server and its goals."""
 
-    def __init__(self, node: Node, settings: FitSettings) -> None:
+    def __init__(self, node: Node, settings: Settings) -> None:
         self._settings, self._closing = settings, Event()
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="fit_recording")
         self._under_way: list[ServerGoalHandle] = []

@@ -22,7 +22,7 @@ from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE, FILTER_STATE
 from tms_fit.nodes.bag_fits import BagFits
 from tms_fit.nodes.refit import offer_refit
 from tms_fit.nodes.settings import declare_settings
-from tms_fit.running.live import INPUTS, LiveFit
+from tms_fit.streaming.live_fit import INPUTS, LiveFit
 
 DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
 

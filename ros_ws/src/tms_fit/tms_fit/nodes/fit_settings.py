@@ -21,7 +21,7 @@ from tms_fit.settings import (
     SLIPS,
     SPEED_MODELS,
     STEER_TORQUES,
-    FitSettings,
+    Settings,
 )
 
 Value = TypeVar("Value")
@@ -44,7 +44,7 @@ NUMBERS: dict[str, tuple[str, float, float]] = {  # what it is, least and larges
 }
 
 
-def declare_fit_settings(node: Node) -> FitSettings:
+def declare_fit_settings(node: Node) -> Settings:
     """Declare and read them. Raises ParameterError."""
     free = declare(
         node, "free", [""], f"parameters to estimate, of {', '.join(PARAMETERS)}; empty: the default"
@@ -59,7 +59,7 @@ def declare_fit_settings(node: Node) -> FitSettings:
         [0.0],
         "known of an oscillation in the noise: frequency [Hz], decay time [s], deviation [rad/s]; 0: nothing",
     )
-    return FitSettings(
+    return Settings(
         free=tuple(name for name in free if name) or None,
         fixed=each_once(_read("fix", assignment, fixed), "parameter fix"),
         priors=each_once(_read("prior", prior, priors), "parameter prior"),
@@ -73,13 +73,13 @@ def declare_fit_settings(node: Node) -> FitSettings:
             1000.0,
         )
         or None,
-        estimators=tuple(declare(node, "estimators", list(FitSettings.estimators), "estimators, in order")),
+        estimators=tuple(declare(node, "estimators", list(Settings.estimators), "estimators, in order")),
         **{
-            name: declare(node, name, getattr(FitSettings, name), what, low, high)
+            name: declare(node, name, getattr(Settings, name), what, low, high)
             for name, (what, low, high) in NUMBERS.items()
         },
         **{
-            name: declare(node, name, getattr(FitSettings, name), f"{what}: {', '.join(choices)}")
+            name: declare(node, name, getattr(Settings, name), f"{what}: {', '.join(choices)}")
             for name, (what, choices) in CHOICES.items()
         },
     )

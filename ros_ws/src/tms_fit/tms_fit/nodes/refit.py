@@ -11,7 +11,7 @@ from tms_msgs.srv import Refit
 
 from tms_fit.messages import estimate_records
 from tms_fit.nodes.requests import asked_for
-from tms_fit.running.live import LiveFit
+from tms_fit.streaming.live_fit import LiveFit
 from tms_fit.strike_fit import StrikeFit
 
 

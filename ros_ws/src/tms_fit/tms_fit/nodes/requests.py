@@ -8,10 +8,10 @@ from typing import Any
 from tms_model import ParameterError
 
 from tms_fit.arguments import each_once
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
 
 
-def asked_for(base: FitSettings, request: Any) -> FitSettings:
+def asked_for(base: Settings, request: Any) -> Settings:
     """Settings of a request (tms_msgs/srv/Refit, action/FitRecording goal); what it leaves empty is base's.
 
     Raises ParameterError.

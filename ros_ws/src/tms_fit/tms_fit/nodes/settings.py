@@ -8,24 +8,24 @@ from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
 
 from tms_fit.nodes.fit_settings import declare_fit_settings
-from tms_fit.running.live import PREVIEW_PERIOD, REORDER_WINDOW
-from tms_fit.settings import FitSettings
+from tms_fit.settings import Settings
+from tms_fit.streaming.live_fit import PREVIEW_PERIOD, REORDER_WINDOW
 
 
 @dataclass(frozen=True)
-class Settings:
+class EstimatorParameters:
     """What the estimator was started with."""
 
-    fit: FitSettings
+    fit: Settings
     bicycle: str  # empty: the one that run_info names
     idle: float  # [s]
     reorder_window: float  # [s]
     preview_period: float  # [s], 0: none
 
 
-def declare_settings(node: Node) -> Settings:
+def declare_settings(node: Node) -> EstimatorParameters:
     """Declare and read all parameters. Raises ParameterError."""
-    return Settings(
+    return EstimatorParameters(
         fit=declare_fit_settings(node),
         bicycle=declare(
             node, "bicycle", "", "bicycle by name or .yaml file; empty: the one that run_info names"

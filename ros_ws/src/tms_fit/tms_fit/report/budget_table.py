@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tms_fit.criticism.budget import Budget
+from tms_fit.diagnostics.error_budget import Budget
 from tms_fit.report.chart import Columns
 from tms_fit.report.datasets import column
 from tms_fit.report.element import Element, element, table

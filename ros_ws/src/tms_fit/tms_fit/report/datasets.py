@@ -15,7 +15,7 @@ from tms_model import Bicycle, Stability, follow_modes
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import BEFORE, Comparison
-from tms_fit.offline import RecordingFit
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import Columns
 from tms_fit.settings import CHANNELS
 

@@ -15,7 +15,7 @@ import vl_convert
 from tqdm import tqdm
 
 from tms_fit.comparison import source_of
-from tms_fit.offline import RecordingFit
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import CONFIG, Chart, Spec
 from tms_fit.report.element import Element, element, markup, plain
 from tms_fit.report.overview import overview

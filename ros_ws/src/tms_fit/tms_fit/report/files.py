@@ -12,7 +12,7 @@ from tms_model import ParameterError
 from tms_model.whole_file import write_whole
 from tqdm import tqdm
 
-from tms_fit.offline import RecordingFit
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import CONFIG, CURSOR, Chart, Columns, Spec
 from tms_fit.report.document import report_html, sections
 from tms_fit.report.section import Section

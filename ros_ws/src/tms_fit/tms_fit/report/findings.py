@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from tms_fit.criticism.hypotheses import Verdict
-from tms_fit.criticism.residuals import Criticism, probability
+from tms_fit.diagnostics.hypothesis_tests import HypothesisTest
+from tms_fit.diagnostics.residual_tests import ResidualDiagnostics, probability
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, as_sentence, decimals, fixed, number, significant
 
 
-def hypotheses_table(verdicts: tuple[Verdict, ...]) -> Element | None:
+def hypotheses_table(verdicts: tuple[HypothesisTest, ...]) -> Element | None:
     """The hypotheses with what the data say, those rejected first in words; None without any."""
     if not verdicts:
         return None
@@ -50,13 +50,13 @@ def hypotheses_table(verdicts: tuple[Verdict, ...]) -> Element | None:
     )
 
 
-def _verdict(one: Verdict) -> str:
+def _verdict(one: HypothesisTest) -> str:
     if math.isnan(one.p_value):
         return "the data can't tell"
     return "rejected" if one.rejected else "not rejected"
 
 
-def criticism_table(criticism: Criticism) -> Element | None:
+def criticism_table(criticism: ResidualDiagnostics) -> Element | None:
     """Tests of the residuals with a sentence each; None where there were too few samples."""
     if not criticism.tests:
         return None

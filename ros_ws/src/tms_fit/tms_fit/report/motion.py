@@ -10,7 +10,7 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN, STEER
 
 from tms_fit.comparison import Comparison
-from tms_fit.least_squares.motion import motion
+from tms_fit.response.discretization import discretize
 from tms_fit.settings import INITIAL
 
 
@@ -28,7 +28,7 @@ class Motion:
 
 def predicted_motion(both: Comparison) -> Motion:
     """The motion that an estimate predicts, from its initial state and the known steer torque on."""
-    steps = motion(both.shown, both.estimate.nonlinear)
+    steps = discretize(both.shown, both.estimate.nonlinear)
     torque = both.shown.steer_torque
     known = np.zeros(len(both.time)) if torque is None else np.nan_to_num(torque)
     state = np.array([both.estimate.complete.get(name, 0.0) for name in INITIAL])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tms_fit.comparison import first_good
-from tms_fit.offline import RecordingFit, first_stamp
+from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.chart import Columns
 from tms_fit.report.charts.overview import overview_chart
 from tms_fit.report.datasets import column

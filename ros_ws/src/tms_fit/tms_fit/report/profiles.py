@@ -10,10 +10,10 @@ from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.profile import profile_chart
 from tms_fit.report.datasets import column
 from tms_fit.report.parameters import unit_of, words_of
-from tms_fit.settings import NONLINEAR, FitSettings
+from tms_fit.settings import NONLINEAR, Settings
 
 
-def profile_charts(both: Comparison, settings: FitSettings) -> tuple[tuple[Chart, ...], dict[str, Columns]]:
+def profile_charts(both: Comparison, settings: Settings) -> tuple[tuple[Chart, ...], dict[str, Columns]]:
     """A chart for each of them, and the numbers."""
     charts: list[Chart] = []
     data: dict[str, Columns] = {}

@@ -15,7 +15,7 @@ import vl_convert
 from tms_model import Bicycle
 
 from tms_fit import __version__
-from tms_fit.offline import RecordingFit
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.rounding import significant
 from tms_fit.settings import DEFAULT_FREE
 

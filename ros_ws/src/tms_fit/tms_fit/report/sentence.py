@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from tms_fit.comparison import first_good
 from tms_fit.estimate import Estimate
-from tms_fit.least_squares.answer import COLOURED
-from tms_fit.offline import RecordingFit, first_stamp
+from tms_fit.least_squares.make_estimate import COLOURED
+from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.element import Element, element
 from tms_fit.report.rounding import as_sentence, decimals, fixed, number
-from tms_fit.running.online import StrikeFit
+from tms_fit.streaming.online import StrikeFit
 
 NAME = "initial_lean_rate"
 

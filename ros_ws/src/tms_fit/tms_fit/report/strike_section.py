@@ -7,12 +7,11 @@ from tms_model import Bicycle, stability
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import Comparison, comparison, first_good, source_of
-from tms_fit.criticism.budget import error_budget
-from tms_fit.criticism.hypotheses import verdicts
-from tms_fit.criticism.residuals import criticise
-from tms_fit.criticism.stated_noise import stated_noise
-from tms_fit.least_squares.motion import as_ridden, motion
-from tms_fit.offline import RecordingFit
+from tms_fit.diagnostics.error_budget import error_budget
+from tms_fit.diagnostics.hypothesis_tests import run_hypothesis_tests
+from tms_fit.diagnostics.residual_tests import diagnose_residuals
+from tms_fit.diagnostics.stated_noise import stated_noise
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation
 from tms_fit.report.budget_table import budget_table, largest_effects
@@ -35,6 +34,7 @@ from tms_fit.report.section import Section
 from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
 from tms_fit.report.whiteness import autocorrelation, spectrum
+from tms_fit.response.discretization import as_ridden, discretize
 from tms_fit.settings import CHANNELS
 from tms_fit.strike_fit import StrikeFit
 
@@ -56,8 +56,10 @@ def strike_section(fit: RecordingFit, index: int) -> Section:
         charts = (*charts, budget_chart(data["effects"]["name"]))
     motions = _motions(fit, both)
     tables = [parameter_table(both.estimate)]
-    judged = criticism_table(criticise(both.used, both.estimate, stated_noise(fit.recording, settings)))
-    told = hypotheses_table(verdicts(both.used, settings))
+    judged = criticism_table(
+        diagnose_residuals(both.used, both.estimate, stated_noise(fit.recording, settings))
+    )
+    told = hypotheses_table(run_hypothesis_tests(both.used, settings))
     spent = budget_table(budget) if budget is not None else None
     tables += [one for one in (judged, told, spent) if one is not None]
     if len(strike.estimates) > 1:
@@ -156,7 +158,7 @@ def _speed(fit: RecordingFit, both: Comparison) -> tuple[Chart, dict[str, Column
     data: dict[str, Columns] = {
         "used_speed": {
             "time": datasets.column(both.time),
-            "speed": datasets.column(motion(both.shown, both.estimate.nonlinear).speeds),
+            "speed": datasets.column(discretize(both.shown, both.estimate.nonlinear).speeds),
         }
     }
     samples = datasets.speed_samples(fit, both.strike.start_ns, last)

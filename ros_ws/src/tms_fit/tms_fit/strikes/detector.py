@@ -10,12 +10,13 @@ most of the noise. Two things raise suspicion:
 - a kink: three successive means of 50 ms depart from a line by more than `least_change`, six times what is
   usual.
 
-`rise` seconds later the change is judged (`tms_fit.strikes.judgement`). After a kink, `tms_fit.strikes.edge`
-fits it: when it most likely took less than 0.14 s it is a strike, and the free response starts where the
-fitted impulse ends (when no sample lies within it, the strike is `sharp`: its instant is left to the fit of
-the bicycle). Else it may be a push: steep (its steepest 0.1 s, kept up for 0.2 s, would make up the change; a
-weave oscillation is rounder), not the swing back from the last strike; and its free response starts at the
-extremum of the lean rate, or where its level is first reached when it then stays.
+`rise` seconds later the change is judged (`tms_fit.strikes.classification`). After a kink,
+`tms_fit.strikes.edge` fits it: when it most likely took less than 0.14 s it is a strike, and the free
+response starts where the fitted impulse ends (when no sample lies within it, the strike is `sharp`: its
+instant is left to the fit of the bicycle). Else it may be a push: steep (its steepest 0.1 s, kept up for
+0.2 s, would make up the change; a weave oscillation is rounder), not the swing back from the last strike; and
+its free response starts at the extremum of the lean rate, or where its level is first reached when it then
+stays.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from collections import deque
 
 import numpy as np
 
-from tms_fit.strikes.judgement import (
+from tms_fit.strikes.classification import (
     LEAST_SAMPLES,
     MEAN,
     SWING_BACK,
-    Stretch,
+    Segment,
     judge_kink,
     judge_swing,
     too_soon,
@@ -206,9 +207,9 @@ class StrikeDetector:
             self._last.append(strike)
         return strike
 
-    def _stretch(self) -> Stretch:
+    def _stretch(self) -> Segment:
         first = self._first_kept()
-        return Stretch(
+        return Segment(
             time=np.array([when for when, _ in self._raw], dtype=np.int64),
             rate=np.array([rate for _, rate in self._raw]),
             bin_time=np.array(self._time[first:], dtype=np.int64),

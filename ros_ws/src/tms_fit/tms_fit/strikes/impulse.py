@@ -21,8 +21,8 @@ from tms_model import LinearSystem, response
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE, STEER_RATE
 
+from tms_fit.strikes.classification import noise_of
 from tms_fit.strikes.edge import FINEST, PUSH, between_samples, shimmy_frequency, thinned
-from tms_fit.strikes.judgement import noise_of
 
 SHORT_ONES = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04, 0.05, 0.06, 0.07, 0.08)
 LENGTHS = np.array([*SHORT_ONES, 0.1, 0.12, 0.14, 0.17, 0.2, 0.25, 0.3, 0.4])  # [s]

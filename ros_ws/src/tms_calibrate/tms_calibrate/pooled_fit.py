@@ -1,0 +1,236 @@
+"""The strikes of several recordings in one fit, and how much they differ from strike to strike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student_t
+from tms_fit.estimate import Estimate
+from tms_fit.estimators.least_squares import fit_window
+from tms_fit.least_squares.block_arrowhead import solve_block_arrowhead
+from tms_fit.recording_fit import RecordingFit, first_stamp
+from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, Settings, check_known
+from tms_fit.window import Window, without_saturated
+from tms_model import ParameterError
+from tms_model.bicycle import Array
+from tms_model.measured import Measured
+
+from tms_calibrate.pooled_noise import NoisySolution, solve_with_noise
+from tms_calibrate.pooled_problem import BICYCLE_NUMBERS, PooledProblem, PooledSolution, Run
+from tms_calibrate.pooled_solver import block_of, model_of
+from tms_calibrate.random_effects import RandomEffects, random_effects
+
+OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
+SHAREABLE = tuple(
+    dict.fromkeys((*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS))
+)
+DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Strike:
+    """One strike of one recording, as `fit run` sees it."""
+
+    recording: str  # name of the bag
+    index: int  # counted from 1, as found in the recording
+    seconds: float  # since the recording's first stamp
+    start_ns: int  # of the free response
+    found: Window | None  # None: there was nothing to compare with
+    alone: Estimate  # its own fit
+
+    @property
+    def window(self) -> Window:
+        """What is compared; a strike in a joint fit always has one."""
+        assert self.found is not None
+        return self.found
+
+
+@dataclass(frozen=True, eq=False)
+class PooledFit:
+    """One fit of several strikes."""
+
+    strikes: tuple[Strike, ...]
+    left_out: tuple[Strike, ...]  # that had no estimate of their own
+    noisy: NoisySolution
+    shared_covariance: Array  # (s, s)
+    own_covariance: tuple[Array, ...]  # (q, q) of each strike
+    between: dict[str, RandomEffects]  # of what each strike's own fit says
+
+    @property
+    def solution(self) -> PooledSolution:
+        """The values."""
+        return self.noisy.solution
+
+    @property
+    def residual_std(self) -> float:
+        """Of the samples [rad/s]: measured less predicted, for as many unknowns as there are."""
+        problem = self.solution.problem
+        squares = 0.0
+        for k, run in enumerate(problem.runs):
+            values = self.solution.values(k)
+            squares += float(
+                np.nansum((run.window.measured - model_of(run.window, values).predict(values)) ** 2)
+            )
+        return math.sqrt(squares / max(problem.degrees_of_freedom, 1))
+
+    @property
+    def quantile(self) -> float:
+        """Half of a 95 % interval per standard error."""
+        return float(student_t.ppf(0.975, max(self.solution.problem.degrees_of_freedom, 1)))
+
+
+def strikes_of(fit: RecordingFit) -> tuple[Strike, ...]:
+    """The strikes of a recording by number and time."""
+    start = first_stamp(fit.recording)
+    return tuple(
+        Strike(
+            recording=fit.recording.path.name,
+            index=k,
+            seconds=(one.start_ns - start) / 1e9,
+            start_ns=one.start_ns,
+            found=None if one.window is None else without_saturated(one.window),
+            alone=one.estimates[0],
+        )
+        for k, one in enumerate(fit.strikes, start=1)
+    )
+
+
+def usable(strikes: Sequence[Strike]) -> tuple[tuple[Strike, ...], tuple[Strike, ...]]:
+    """Strikes with an estimate of their own, and those without. Raises ParameterError if none has one."""
+    good = tuple(one for one in strikes if one.found is not None and one.alone.status == "ok")
+    if not good:
+        why = f"; the first says: {strikes[0].alone.message}" if strikes else ""
+        raise ParameterError(f"expected at least one strike that can be fitted, found {len(strikes)}{why}")
+    return good, tuple(one for one in strikes if one not in good)
+
+
+def fit_pooled(
+    strikes: Sequence[Strike],
+    share: tuple[str, ...],
+    known: Mapping[str, float] | None = None,
+    method: str = "reml",
+    priors: Mapping[str, Measured] | None = None,
+    noise: str = "auto",
+    oscillator: tuple[float, ...] = (),
+) -> PooledFit:
+    """One fit of strikes that share `share`, biases or numbers of the bicycle.
+
+    The other unknowns are those of the strikes' own fits, `known` what was fixed in them. priors: of shared
+    unknowns, and of those of each strike. noise, and what is known of an oscillator: as for one strike, one
+    law for all; the strikes' own fits are made anew under it. Raises ParameterError for names that can't be
+    shared or aren't free, or if no strike can be fitted.
+    """
+    check_known(share, SHAREABLE, "share")
+    if len(set(share)) < len(share):
+        raise ParameterError(f"share: expected each name once, found {', '.join(share)}")
+    good, left_out = usable(strikes)
+    if any(FRICTION in one.alone.names for one in good) or FRICTION in (known or {}):
+        raise ParameterError(f"{FRICTION}: expected in fit run only, neither free nor fixed here")
+    runs = tuple(
+        Run(
+            one.window,
+            tuple(name for name in one.alone.names if name in LINEAR and name not in share),
+            tuple(name for name in one.alone.names if name not in LINEAR and name not in share),
+        )
+        for one in good
+    )
+    problem = PooledProblem(
+        runs,
+        tuple(name for name in share if name in LINEAR),
+        tuple(name for name in share if name not in LINEAR),
+        known or {},
+        priors or {},
+    )
+    unknowns = {*problem.shared, *(name for run in runs for name in run.names)}
+    for name in problem.priors:
+        if name not in unknowns:
+            raise ParameterError(f"prior: {name}: expected a free parameter; add it to --free or --share")
+    noisy = solve_with_noise(problem, noise, oscillator)
+    if noisy.solution.arrow is None:
+        return PooledFit(good, left_out, noisy, np.empty((0, 0)), (), {})
+    shared, own = _covariances(noisy)
+    if noise != "white":
+        good = tuple(_under_noise(one, noise, oscillator) for one in good)
+    return PooledFit(good, left_out, noisy, shared, own, _between(good, method, problem.priors))
+
+
+def _under_noise(one: Strike, noise: str, oscillator: tuple[float, ...]) -> Strike:
+    """The strike with its own fit, of the same unknowns, under another noise."""
+    settings = one.alone.settings or Settings()
+    settings = replace(settings, free=one.alone.names, noise=noise, oscillator=oscillator)
+    alone = fit_window(one.window, settings)
+    return replace(one, alone=alone) if alone.status == "ok" else one
+
+
+def _between(
+    strikes: Sequence[Strike], method: str, priors: Mapping[str, Measured]
+) -> dict[str, RandomEffects]:
+    """Random-effects mean of each parameter over the strikes' own fits.
+
+    Not of one with a prior, which is in each of them: they would agree by it.
+    """
+    answer = {}
+    for name in dict.fromkeys(name for one in strikes for name in one.alone.names if name not in priors):
+        pairs = [
+            (one.alone.parameters[name], one.alone.std[one.alone.names.index(name)])
+            for one in strikes
+            if name in one.alone.names
+        ]
+        values, std = (np.array(column, dtype=float) for column in zip(*pairs, strict=True))
+        if (std > 0.0).all():
+            answer[name] = random_effects(values, std, method)
+    return answer
+
+
+def _covariances(noisy: NoisySolution) -> tuple[Array, tuple[Array, ...]]:
+    """Covariances of shared and own values: noise as the residuals have it, and what is known inexactly."""
+    solution, shared, own = noisy.solution, noisy.shared_covariance, list(noisy.own_covariance)
+    problem = solution.problem
+    blocks = [
+        block_of(problem, run, solution.shared, values)
+        for run, values in zip(problem.runs, solution.own, strict=True)
+    ]
+    priors = problem.prior_rows(problem.shared, solution.shared)
+    for k, run in enumerate(problem.runs):
+        names = {*problem.shared, *run.nonlinear, *problem.known}
+        for low, high, width in _inexact(run.window, names):
+            steps = []
+            for window in (low, high):
+                moved = block_of(problem, replace(run, window=window), solution.shared, solution.own[k])
+                found = solve_block_arrowhead([*blocks[:k], moved, *blocks[k + 1 :]], *priors)
+                steps.append(found)
+            if steps[0] is None or steps[1] is None:
+                continue
+            shift = (steps[1].shared - steps[0].shared) / width
+            shared = shared + np.outer(shift, shift)
+            for j, (before, after) in enumerate(zip(steps[0].own, steps[1].own, strict=True)):
+                one = (after - before) / width
+                own[j] = own[j] + np.outer(one, one)
+    return shared, tuple(own)
+
+
+def _inexact(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, float]]:
+    """Pairs of windows that differ by what is known inexactly, and by how many standard deviations.
+
+    names: what is free or fixed, and so takes the place of what the window says.
+    """
+    curve = window.speed
+    spread = curve.covariance.copy()
+    if "speed" in names:
+        spread[0, :] = spread[:, 0] = 0.0
+    if "rolling_resistance" in names:
+        spread[1:, :] = spread[:, 1:] = 0.0
+    variances, axes = np.linalg.eigh(spread)
+    for variance, axis in zip(variances, axes.T, strict=True):
+        if variance > 0.0:
+            step = DIFFERENCE * math.sqrt(variance) * axis
+            ends = (replace(curve, coefficients=curve.coefficients + part * step) for part in (-1.0, 1.0))
+            low, high = (replace(window, speed=end) for end in ends)
+            yield low, high, 2.0 * DIFFERENCE
+    if window.delay_std and "strike_time" not in names:
+        step = DIFFERENCE * window.delay_std
+        least, most = max(window.delay - step, 0.0), window.delay + step
+        yield replace(window, delay=least), replace(window, delay=most), (most - least) / window.delay_std

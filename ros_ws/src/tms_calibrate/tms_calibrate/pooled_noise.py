@@ -1,0 +1,299 @@
+"""Several runs under noise that remembers: one law for all of them, found from their residuals together.
+
+Values and covariances follow the rules of a fit of one run (`tms_fit.least_squares.irls`): `auto` is
+white noise unless the residuals remember something beyond doubt, then an autoregressive process or white
+noise that oscillates, whichever has the lower BIC over all runs. What `auto` takes for autoregressive is more
+often a wrong model, so the values stay those of least squares; their covariance is what this noise does to
+them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_fit.least_squares.irls import FINEST, by_start
+from tms_fit.noise import ar, oscillator
+from tms_fit.noise.colored import ColoredNoise
+from tms_fit.noise.posterior import Family
+from tms_fit.settings import check_known
+from tms_model.bicycle import Array
+
+from tms_calibrate.pooled_posterior import Piece, Posterior, posterior
+from tms_calibrate.pooled_problem import PooledProblem, PooledSolution
+from tms_calibrate.pooled_solver import Linearised, linearised_run, solve_pooled
+from tms_calibrate.sandwich_covariance import sandwich_covariance
+
+MODELS = ("auto", "white", "ar", "oscillator")
+ROUNDS = 10  # at most, of noise and values in turn
+SETTLED = 0.01  # change of the values, in standard errors, that ends them
+LEAST_LIKELY = 8.0  # fall of the log-likelihood from which on a candidate has no weight
+REACH = 4.0  # standard deviations of a law's number, to which candidates for it are tried
+LOOKS = 2  # each closer than the one before
+
+_Found = ar.ARCandidates | Array  # processes, or oscillators (g, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class NoisySolution:
+    """A solution, the noise under which it is one, and what that means for its values."""
+
+    solution: PooledSolution
+    model: str  # white, ar, oscillator
+    shared_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))  # (s, s)
+    own_covariance: tuple[Array, ...] = ()  # (q, q) of each run
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the noise, by name, SI
+    least_squares: bool = True  # whether the values are those of least squares
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """What the noise of all runs may be, what that says of the unknowns, and the likeliest in each run."""
+
+    found: dict[int, _Found]  # candidates for each channel
+    pieces: tuple[Piece, ...]
+    posterior: Posterior
+    noises: tuple[ColoredNoise, ...]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        return {name: value for noise in self.noises for name, value in noise.parameters.items()}
+
+
+def solve_with_noise(
+    problem: PooledProblem, model: str = "auto", stated: Sequence[float] = ()
+) -> NoisySolution:
+    """Solve under a noise model of MODELS; stated: what is known of an oscillator. Raises ParameterError."""
+    check_known((model,), MODELS, "noise")
+    plain = _under_white_noise(problem)
+    if plain.arrow is None:
+        return NoisySolution(plain, "white")
+    runs = _linearised(plain)
+    remembers = _judged(plain, runs) and ar.is_autocorrelated(*(run.residual for run in runs))
+    if model == "white" or (model == "auto" and not remembers):
+        std = _std(plain)
+        scale = 1.0 if problem.priors else std**2 / plain.problem.noise**2
+        own = tuple(scale * inverse for inverse in plain.arrow.own_inverse)
+        shared = scale * plain.arrow.shared_inverse
+        return NoisySolution(plain, "white", shared, own, {"noise_std": std})
+    times = [run.window.time for run in problem.runs]
+    name = _likelier(times, runs, stated) if model == "auto" else model
+    law = _law(name, plain, runs, stated)
+    if model == "auto" and name == "ar" and not problem.priors:
+        shared, own = sandwich_covariance(plain, runs, law.pieces, law.posterior)
+        return NoisySolution(plain, name, shared, own, law.parameters)
+    return _under(name, plain, law, stated)
+
+
+def _under_white_noise(problem: PooledProblem) -> PooledSolution:
+    """Least squares; with priors, the noise that weighs the samples against them is that of the residuals."""
+    if not problem.priors:
+        return solve_pooled(problem)
+    bare = solve_pooled(replace(problem, priors={}))
+    size = _std(bare) if bare.arrow is not None else _spread(problem)
+    solution = solve_pooled(replace(problem, noise=size))
+    for _ in range(ROUNDS):
+        if solution.arrow is None:
+            break
+        noise = _std(solution)
+        settled = abs(noise / solution.problem.noise - 1.0) < SETTLED**2
+        solution = solve_pooled(replace(problem, noise=noise), solution.shared[len(problem.linear) :])
+        if settled:
+            break
+    return solution
+
+
+def _std(solution: PooledSolution) -> float:
+    """Deviation [rad/s] of the noise by what is left of the samples, for as many unknowns as there are."""
+    problem = solution.problem
+    unknowns = len(problem.shared) + sum(len(run.names) for run in problem.runs)
+    squares = sum(float(residual @ residual) for residual in solution.residuals)
+    return math.sqrt(squares / max(problem.count - unknowns, 1)) or 1.0
+
+
+def _spread(problem: PooledProblem) -> float:
+    """Deviation of all that was measured: a noise that is too large rather than too small."""
+    return math.sqrt(float(np.nanmean([np.nanmean(run.window.measured**2) for run in problem.runs]))) or 1.0
+
+
+def _under(name: str, plain: PooledSolution, law: _Law, stated: Sequence[float]) -> NoisySolution:
+    """Values that are best under a noise that remembers, and the noise that they show, in turn."""
+    solution, problem = plain, replace(plain.problem, noise=1.0)
+    bent = bool(problem.nonlinear or problem.priors) or any(run.nonlinear for run in problem.runs)
+    for _ in range(ROUNDS if bent else 1):  # what is linear is as good after one round
+        before = solution
+        runs = tuple(
+            replace(run, rows=noise.rows) for run, noise in zip(problem.runs, law.noises, strict=True)
+        )
+        start = solution.shared[len(problem.linear) :]
+        solution = solve_pooled(replace(problem, runs=runs), start)
+        if solution.arrow is None:
+            return NoisySolution(solution, name)
+        law = _law(name, solution, _linearised(solution), stated, None if bent else law.found)
+        std = np.sqrt(np.diag(law.posterior.covariance))
+        off = [np.abs(solution.shared - before.shared) / std]
+        for one, other, covariance in zip(
+            solution.own, before.own, law.posterior.own_covariance, strict=True
+        ):
+            off.append(np.abs(one - other) / np.sqrt(np.diag(covariance)))
+        if max((float(one.max(initial=0.0)) for one in off), default=0.0) <= SETTLED:
+            break
+    found = law.posterior
+    moved = replace(
+        solution,
+        shared=solution.shared + found.shift,
+        own=tuple(one + step for one, step in zip(solution.own, found.own_shift, strict=True)),
+    )
+    return NoisySolution(moved, name, found.covariance, found.own_covariance, law.parameters, False)
+
+
+def _linearised(solution: PooledSolution) -> tuple[Linearised, ...]:
+    return tuple(
+        linearised_run(solution.problem, run, solution.shared, own)
+        for run, own in zip(solution.problem.runs, solution.own, strict=True)
+    )
+
+
+def _judged(solution: PooledSolution, runs: Sequence[Linearised]) -> bool:
+    """Whether residuals are more than rounding, so that they say something about the noise."""
+    largest = max(float(np.nanmax(np.abs(run.residual), initial=0.0)) for run in runs)
+    measured = max(
+        float(np.nanmax(np.abs(run.window.measured), initial=0.0)) for run in solution.problem.runs
+    )
+    return largest > FINEST * measured
+
+
+def _law(
+    name: str,
+    solution: PooledSolution,
+    runs: Sequence[Linearised],
+    stated: Sequence[float],
+    known: dict[int, _Found] | None = None,
+) -> _Law:
+    """The noise that residuals show, for all that the fits have taken out of them."""
+    problem = solution.problem
+    goods = [np.isfinite(run.residual) for run in runs]
+    times = [run.window.time for run in problem.runs]
+    looks = LOOKS if known is None and len(runs) > 1 else 0
+    found = _candidates(name, times, runs, stated) if known is None else known
+    prior = problem.prior_rows(problem.shared, solution.shared)
+    owns = [problem.prior_rows(run.names, own) for run, own in zip(problem.runs, solution.own, strict=True)]
+
+    def pieces(with_start: bool) -> tuple[Piece, ...]:
+        made = []
+        for k, run in enumerate(runs):
+            own, rows = run.own, owns[k]
+            told = {*problem.known, *problem.runs[k].names}
+            start = by_start(problem.runs[k].window, told, solution.values(k))
+            if with_start and start is not None:
+                own = np.concatenate([own, start[:, :, None]], axis=2)
+                rows = np.concatenate([rows[0], np.zeros((len(rows[1]), 1))], axis=1), rows[1]
+            made.append(Piece(_families(times[k], goods[k], found), own, run.shared, run.residual, rows))
+        return tuple(made)
+
+    ratios: Array | None = None
+    fitted = posterior(pieces(True), ratios, prior, with_own=False)
+    for _ in range(looks):  # one run's residuals tell little, all together tell more
+        ratios = _closer_ratios(fitted)
+        found = {c: _closer(one, fitted.weights.sum(axis=(1 - c, 2))) for c, one in found.items()}
+        fitted = posterior(pieces(True), ratios, prior, with_own=False)
+    last = pieces(False)
+    return _Law(found, last, posterior(last, ratios, prior), _noises(last, fitted))
+
+
+def _likelier(times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> str:
+    """Autoregressive noise or noise that oscillates, whichever has the lower BIC, by name."""
+    return min(("ar", "oscillator"), key=lambda name: _bic(name, times, runs, stated))
+
+
+def _bic(name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> float:
+    """Of all runs' residuals, each channel's noise at its likeliest."""
+    goods, found = [np.isfinite(run.residual) for run in runs], _candidates(name, times, runs, stated)
+    total, unknowns, count = 0.0, 0, sum(int(good.sum()) for good in goods)
+    for c, one in found.items():
+        squares, determinants, samples = np.zeros(1), np.zeros(1), 0
+        for time, good, run in zip(times, goods, runs, strict=True):
+            family = _families(time, good, {c: one}).get(c)
+            if family is not None:
+                squares = squares + family.products(run.residual[good[:, c], c, None])[:, 0, 0]
+                determinants = determinants + family.log_determinants
+                samples += int(good[:, c].sum())
+        total += float(np.min(samples * np.log(squares / samples) + determinants))
+        unknowns += 1 + _size(one)
+    return total + unknowns * math.log(count)
+
+
+def _size(found: _Found) -> int:
+    """Numbers of a law beside the deviation."""
+    if isinstance(found, ar.ARCandidates):
+        return len(found.further) + 1 if len(found.first) else 0
+    return oscillator.UNKNOWNS if found[:, 2].any() else 0
+
+
+def _candidates(
+    name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]
+) -> dict[int, _Found]:
+    """What the noise of each channel may be, by the residuals of all runs that measured it."""
+    found: dict[int, _Found] = {}
+    for c in range(2):
+        pairs = [(time, run.residual[:, c]) for time, run in zip(times, runs, strict=True)]
+        kept = [(t[np.isfinite(r)], r[np.isfinite(r)]) for t, r in pairs if np.isfinite(r).sum() > 2]
+        if not kept:
+            continue
+        when, residuals = [t for t, _ in kept], [r for _, r in kept]
+        if name == "ar":
+            found[c] = ar.candidates(residuals)
+        else:
+            grid = oscillator.candidates(when, residuals, stated)
+            found[c] = oscillator.with_weight(grid, when, residuals, LEAST_LIKELY)
+    return found
+
+
+def _families(time: Array, good: NDArray[np.bool_], found: Mapping[int, _Found]) -> dict[int, Family]:
+    """The candidates of each channel at the samples of a run."""
+    processes = {c: one for c, one in found.items() if isinstance(one, ar.ARCandidates)}
+    oscillators = {c: one for c, one in found.items() if isinstance(one, np.ndarray)}
+    return {
+        **ar.families(time, good, processes),
+        **oscillator.families(time, good, oscillators),
+    }
+
+
+def _closer(found: _Found, weights: Array) -> _Found:
+    """Processes closer to those that have weights (g,); oscillators are close already."""
+    if not isinstance(found, ar.ARCandidates) or len(found.first) < 2:
+        return found
+    places = np.arctanh(found.first)
+    mean = float(weights @ places)
+    std = math.sqrt(float(weights @ (places - mean) ** 2))
+    half = max(REACH * std, float(places[1] - places[0]))
+    return found.within(mean - half, mean + half)
+
+
+def _closer_ratios(found: Posterior) -> Array:
+    """Ratios closer to those that have weight."""
+    weights = found.weights.sum(axis=(0, 1))
+    if len(weights) < 2:
+        return found.ratios
+    mean = float(weights @ found.ratios)
+    std = math.sqrt(float(weights @ (found.ratios - mean) ** 2))
+    half = max(REACH * std, 0.5 * float(found.ratios[1] - found.ratios[0]))
+    return mean + half * np.linspace(-1.0, 1.0, len(weights))
+
+
+def _noises(pieces: Sequence[Piece], found: Posterior) -> tuple[ColoredNoise, ...]:
+    """The likeliest noise of each run."""
+    *best, ratio = found.best
+    std = math.sqrt(float(found.variances[found.best]))
+    stds = std, std * math.exp(float(found.ratios[ratio]))
+    return tuple(
+        ColoredNoise(
+            np.isfinite(piece.residual),
+            piece.families,
+            {c: family.member(best[c], stds[c]) for c, family in piece.families.items()},
+        )
+        for piece in pieces
+    )

@@ -1,1 +1,0 @@
-"""Many strikes in one fit: shared numbers, heterogeneity, calibration of a bicycle."""

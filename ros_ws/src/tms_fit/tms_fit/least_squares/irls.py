@@ -1,0 +1,274 @@
+"""Parameters, noise, weights of outliers and saturated samples: each in the light of the others, in turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from tms_model.bicycle import Array
+
+from tms_fit.least_squares import censoring
+from tms_fit.least_squares.losses import Loss, outlier_count, scale
+from tms_fit.least_squares.varpro import Problem, Rows, Solution, solve
+from tms_fit.noise import NOISES, Noise, oscillator
+from tms_fit.noise.ar import is_autocorrelated
+from tms_fit.noise.colored import ColoredNoise
+from tms_fit.noise.white import White
+from tms_fit.response.prediction import derivative
+from tms_fit.settings import shaping
+from tms_fit.window import Window
+
+ROUNDS = 60  # at most
+FINEST = 1e-4  # largest residual, per largest rate, below which it is no noise: gyroscopes measure no better
+STD_STEPS, STD_SETTLED = 200, 1e-6  # of the noise's deviation beside saturated samples: at most, last change
+SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A solution with the noise under which it is one."""
+
+    solution: Solution  # its inverse is the covariance
+    noise: Noise
+    noise_model: str  # of NOISES
+    loss: str  # of LOSSES, not auto
+    outliers: int = 0  # for which a loss was chosen that they can't pull
+
+
+def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[float, ...] = ()) -> Fitted:
+    """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured.
+
+    A loss 'auto' is that of least squares, unless the residuals hold outliers, then Huber's. stated:
+    frequency, decay time and size of an oscillator, as many as are known.
+    """
+    window, known, outliers = problem.window, noise_model, 0
+    plain = solution = _plain(problem, noise_model)
+    noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
+    limits = _limits(problem)
+    judged = limits is None and _judged(problem, solution)
+    if loss.name == "auto":
+        if judged:
+            outliers = outlier_count(window.measured - problem.predicted(solution.values))
+        loss = Loss("huber" if outliers else "squares")
+    for _ in range(ROUNDS):
+        if solution.status == "not_observable":
+            break
+        residual = problem.window.measured - problem.predicted(solution.values)
+        fitted = _fitted(problem, solution)
+        if known == "auto" and judged and is_autocorrelated(residual):
+            known, noise = _likelier(problem, residual, fitted, stated)
+        else:
+            known = "white" if known == "auto" else known
+            noise = _noise(known, loss, problem, residual, fitted, limits, stated)
+        if limits is not None:
+            rows = _weighted_by(np.sqrt(limits.information(problem, solution, noise)), noise.rows)
+            problem = limits.replaced(problem, solution, noise)
+        else:
+            rows = _weighted(noise.rows, loss, residual)
+        before, start = solution, solution.values[len(problem.linear) :]
+        solution = solve(problem, rows, start)
+        if _final(problem, known, loss, limits) or _same(before, solution):
+            break
+    if solution.status != "not_observable":
+        solution = _with_covariance(problem, solution, noise, loss, limits)
+    if noise_model == "auto" and known == "ar" and loss.name == "squares":
+        # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
+        # explain most of the measurement.
+        solution = replace(solution, values=plain.values)
+    return Fitted(solution, noise, known, loss.name, outliers)
+
+
+def _plain(problem: Problem, noise_model: str) -> Solution:
+    """Least squares. Where its residuals decide about the noise, priors have their weight in it."""
+    if noise_model == "auto" and problem.priors:
+        return fit_problem(problem, "white", Loss("squares")).solution
+    return solve(problem, _first_rows(problem))
+
+
+def _judged(problem: Problem, solution: Solution) -> bool:
+    """Whether residuals are more than rounding, so that they say something about the noise."""
+    if solution.status == "not_observable":
+        return False
+    measured = problem.window.measured
+    return not only_rounding(measured, measured - problem.predicted(solution.values))
+
+
+def only_rounding(measured: Array, residual: Array) -> bool:
+    """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; both (n, 2)."""
+    largest = np.nanmax(np.abs(measured), initial=0.0)
+    return bool(np.nanmax(np.abs(residual), initial=0.0) <= FINEST * largest)
+
+
+def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
+    """Whether one round is enough: nothing that was found changes what is best."""
+    if loss.name != "squares" or limits is not None:
+        return False
+    return not problem.priors if noise_model == "white" else not problem.nonlinear
+
+
+def _first_rows(problem: Problem) -> Rows:
+    good = np.isfinite(problem.window.measured)
+    return lambda values: values[good]
+
+
+def _noise(
+    name: str,
+    loss: Loss,
+    problem: Problem,
+    residual: Array,
+    fitted: Array,
+    limits: _Limits | None,
+    stated: tuple[float, ...],
+) -> Noise:
+    if name == "white" and loss.name != "squares":
+        good = np.isfinite(residual)
+        return White(good, scale(residual[good], fitted.shape[2]))
+    if name == "oscillator" and stated:
+        return oscillator.fit(problem.window.time, residual, fitted, stated)
+    noise = NOISES[name](problem.window.time, residual, fitted)
+    if limits is not None and isinstance(noise, White):
+        return White(noise.good, limits.std(problem, residual, fitted.shape[2], noise.std))
+    return noise
+
+
+def _weighted(rows: Rows, loss: Loss, residual: Array) -> Rows:
+    """The rows, each by the root of the weight that its residual has."""
+    if loss.name == "squares":
+        return rows
+    return _weighted_by(np.sqrt(loss.weights(rows(residual))), rows)
+
+
+def _weighted_by(root: Array, rows: Rows) -> Rows:
+    return lambda values: _times(root, rows(values))
+
+
+def _times(factor: Array, rows: Array) -> Array:
+    return factor.reshape(-1, *(1,) * (rows.ndim - 1)) * rows
+
+
+def _with_covariance(
+    problem: Problem, solution: Solution, noise: Noise, loss: Loss, limits: _Limits | None
+) -> Solution:
+    """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
+    residual = problem.window.measured - problem.predicted(solution.values)
+    if isinstance(noise, ColoredNoise) and loss.name == "squares":
+        return _averaged(problem, solution, noise, residual)
+    rows = noise.rows(solution.channels)
+    jacobian = solution.jacobian.copy()
+    jacobian[: len(rows)] = rows
+    if limits is not None and isinstance(noise, White):
+        root = np.sqrt(limits.information(problem, solution, noise))
+        jacobian[: len(rows)] = _times(root, rows)
+    plain = replace(solution, jacobian=jacobian)
+    if loss.name == "squares":
+        return plain
+    return replace(plain, covariance=loss.inflation(noise.rows(residual), len(problem.names)) * plain.of_rows)
+
+
+def _averaged(problem: Problem, solution: Solution, noise: ColoredNoise, residual: Array) -> Solution:
+    """Parameters and covariance averaged over what coloured noise may be."""
+    count = len(noise.rows(residual))  # the priors' rows come last
+    prior = solution.jacobian[count:], solution.rows[count:]
+    shift, covariance = noise.average(residual, solution.channels, prior)
+    return replace(solution, values=solution.values + shift, covariance=covariance)
+
+
+def _likelier(
+    problem: Problem, residual: Array, fitted: Array, stated: tuple[float, ...]
+) -> tuple[str, Noise]:
+    """Autoregressive noise or noise that oscillates, whichever has the lower BIC, by name."""
+    time, count = problem.window.time, int(np.isfinite(residual).sum())
+
+    def bic(noise: Noise) -> float:
+        rows = noise.rows(residual)
+        return float(rows @ rows) + noise.log_determinant + len(noise.parameters) * math.log(count)
+
+    rivals: dict[str, Noise] = {
+        "ar": NOISES["ar"](time, residual, fitted),
+        "oscillator": oscillator.fit(time, residual, fitted, stated),
+    }
+    return min(rivals.items(), key=lambda one: bic(one[1]))
+
+
+def _fitted(problem: Problem, solution: Solution) -> Array:
+    """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
+    values = problem.values(solution.values)
+    start = by_start(problem.window, values, values)
+    return (
+        solution.channels if start is None else np.concatenate([solution.channels, start[:, :, None]], axis=2)
+    )
+
+
+def by_start(window: Window, told: Collection[str], values: Mapping[str, float]) -> Array | None:
+    """Change (n, 2) of the prediction by a start that was found beforehand; None where it wasn't.
+
+    told: names of what is free or fixed; values of all parameters.
+    """
+    if not window.delay_std or "strike_time" in told:
+        return None
+    return derivative(window, shaping(values), "strike_time").predict(values)
+
+
+def _same(before: Solution, after: Solution) -> bool:
+    """Whether two solutions are one, as far as anybody can tell."""
+    if "not_observable" in (before.status, after.status):
+        return True
+    std = np.sqrt(np.diag(after.inverse))
+    return bool((np.abs(after.values - before.values) <= SETTLED * std).all())
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Saturated samples of a window: where they are, and the limit that each stands at."""
+
+    rows: Array  # (n, 2) bool
+    sign: Array  # (m,)
+    limit: Array  # (m,) [rad/s]
+
+    def _at(self, function: Callable[..., Array], predicted: Array, std: float) -> Array:
+        return function(self.limit, self.sign, predicted[self.rows], std)
+
+    def replaced(self, problem: Problem, solution: Solution, noise: Noise) -> Problem:
+        """The problem with each saturated sample at its working value."""
+        assert isinstance(noise, White)
+        window = problem.window
+        measured = window.measured
+        measured[self.rows] = self._at(censoring.working, problem.predicted(solution.values), noise.std)
+        return replace(problem, window=replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]))
+
+    def std(self, problem: Problem, residual: Array, unknowns: int, std: float) -> float:
+        """Deviation of the noise, the spread left of the saturated samples included.
+
+        Each step of expectation and maximisation takes away as large a share of its error as samples aren't
+        saturated: they go on until it stands.
+        """
+        good = np.isfinite(residual)
+        predicted = problem.window.measured - residual
+        off = np.where(good & np.logical_not(self.rows), residual, 0.0)
+        squares, count = float(np.sum(off**2)), max(int(good.sum()) - unknowns, 1)
+        for _ in range(STD_STEPS):
+            spread = float(np.sum(self._at(censoring.excess, predicted, std))) * std**2
+            beyond = self._at(censoring.expected, predicted, std) - predicted[self.rows]
+            before, std = std, math.sqrt((squares + float(beyond @ beyond) + spread) / count)
+            if abs(std - before) <= STD_SETTLED * std:
+                break
+        return std
+
+    def information(self, problem: Problem, solution: Solution, noise: Noise) -> Array:
+        """Share (m,) of its information that each sample of the rows keeps."""
+        assert isinstance(noise, White)
+        share = np.ones(self.rows.shape)
+        predicted = problem.predicted(solution.values)
+        share[self.rows] = self._at(censoring.information, predicted, noise.std)
+        kept: Array = share[noise.good]
+        return kept
+
+
+def _limits(problem: Problem) -> _Limits | None:
+    window = problem.window
+    if window.saturated is None or not window.saturated.any():
+        return None
+    rows = (window.saturated != 0.0) & np.isfinite(window.measured)
+    return _Limits(rows, window.saturated[rows], window.measured[rows])

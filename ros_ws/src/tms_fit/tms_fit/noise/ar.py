@@ -1,0 +1,115 @@
+"""Colored noise: an autoregressive process of each channel, as the residuals show it.
+
+    e[t] = r[t] - a_1 r[t-1] - ... - a_p r[t-p], white, of variance s^2
+
+A second and a half of noise that is correlated over a fifth of a second says little about that correlation,
+and the noise parameters of greatest likelihood, taken for the truth, give intervals that are far too narrow.
+So the answer is an average over what the noise may be (`tms_fit.noise.posterior`): the first
+reflection coefficient r of each channel, which for order one is the correlation of neighbours, runs over a
+grid with a flat prior in artanh r. Higher coefficients are Burg's, their number has the least BIC.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from tms_model.bicycle import Array
+
+from tms_fit.noise.ar_process import ARChannelNoise, burg, grid_places, process
+from tms_fit.noise.colored import ColoredNoise, colored_noise
+
+PLACES = np.linspace(-4.0, 9.0, 21)  # of the grid, in standard errors from Burg's coefficient, in artanh
+CLEAR = 6.0  # fall of BIC from which on residuals are called coloured: once in 500 white channels
+LIMIT = 3.5  # largest artanh of a reflection coefficient: 0.998
+
+
+@dataclass(frozen=True, eq=False)
+class ARFamily:
+    """Autoregressive processes that a channel's noise may be, each of innovations of deviation one."""
+
+    members: tuple[ARChannelNoise, ...]
+
+    @cached_property
+    def log_determinants(self) -> Array:
+        """Of each candidate's covariance (g,)."""
+        return np.array([noise.log_determinant for noise in self.members])
+
+    def products(self, values: Array) -> Array:
+        """Whitened values' products (g, q, q), of values (m, q) of the samples."""
+        rows = [noise.rows(values) for noise in self.members]
+        return np.array([one.T @ one for one in rows])
+
+    def member(self, index: int, std: float) -> ARChannelNoise:
+        """One candidate with innovations of a deviation [rad/s]."""
+        one = self.members[index]
+        return ARChannelNoise(one.process, std, one.places, one.count)
+
+
+@dataclass(frozen=True, eq=False)
+class ARCandidates:
+    """What the noise of one channel may be."""
+
+    first: Array  # (g,) reflection coefficients of order one that are tried, ascending; (0,): white noise
+    further: Array  # (p - 1,) those of higher orders
+
+    def within(self, low: float, high: float) -> ARCandidates:
+        """As many between two values of artanh of the first coefficient."""
+        around = np.clip(np.linspace(low, high, len(PLACES)), -LIMIT, LIMIT)
+        return ARCandidates(np.unique(np.tanh(around)), self.further)
+
+
+def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
+    """The noise that residuals (n, 2) show, whose fit had the derivatives (n, 2, p)."""
+    good = np.isfinite(residual)
+    channels = [c for c in range(2) if good[:, c].sum() > 2]
+    found = {c: candidates([residual[good[:, c], c]]) for c in channels}
+    return colored_noise(families(time, good, found), good, residual, jacobian)
+
+
+def is_autocorrelated(*residuals: Array) -> bool:
+    """Whether residuals (n, 2) of some channel, of one run or several, are no white noise.
+
+    They are not when BIC falls by more than CLEAR.
+    """
+    for c in range(2):
+        segments = [residual[np.isfinite(residual[:, c]), c] for residual in residuals]
+        segments = [values for values in segments if len(values) > 2 and values.any()]
+        if segments:
+            reflections, std = burg(*segments)
+            count = sum(len(values) for values in segments)
+            fall = -count * math.log(std**2 / float(np.mean(np.concatenate(segments) ** 2)))
+            if fall - len(reflections) * math.log(count) > CLEAR:
+                return True
+    return False
+
+
+def candidates(residuals: Sequence[Array]) -> ARCandidates:
+    """What the noise of a channel may be, by its residuals (n,) in each run; white if they show no memory.
+
+    As wide as one run leaves it: the fit of each run makes its residuals remember less than the noise does.
+    """
+    reflections, _ = burg(*residuals)
+    if not len(reflections):
+        return ARCandidates(reflections, reflections)
+    first = float(np.clip(reflections[0], -0.99, 0.99))
+    count = sum(len(values) for values in residuals) / len(residuals)
+    std = 1.0 / math.sqrt(count * (1.0 - first**2))
+    around = np.clip(math.atanh(first) + std * PLACES, -LIMIT, LIMIT)
+    return ARCandidates(np.unique(np.tanh(around)), reflections[1:])
+
+
+def families(time: Array, good: NDArray[np.bool_], found: Mapping[int, ARCandidates]) -> dict[int, ARFamily]:
+    """The candidates of each channel at the samples of a run: times (n,), measured (n, 2)."""
+    places = grid_places(time)
+    return {c: _family(places[good[:, c]], one) for c, one in found.items() if good[:, c].sum() > 2}
+
+
+def _family(places: NDArray[np.int_], found: ARCandidates) -> ARFamily:
+    grid = places - places[0]
+    orders = [np.append(one, found.further) for one in found.first] or [found.further]
+    return ARFamily(tuple(ARChannelNoise(process(one), 1.0, grid, int(grid[-1]) + 1) for one in orders))

@@ -1,0 +1,198 @@
+"""The answer of `fit run`, as JSON that other tools rely on and as a table for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Any
+
+from tms_fit.diagnostics.output import criticism_json, scrutiny_json, scrutiny_lines
+from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
+from tms_fit.estimate import Estimate
+from tms_fit.least_squares.make_estimate import COLOURED
+from tms_fit.recording_fit import RecordingFit, first_stamp
+from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.streaming.online import StrikeFit
+from tms_fit.strikes.strike import Strike, StrikeSettings
+
+
+def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
+    """The document promised in docs/conventions.md; SI units and radians, SAE signs.
+
+    asked: what else is wanted of each strike, of tms_fit.diagnostics.output.ASKED.
+    """
+    start_ns = first_stamp(fit.recording)
+    stated = stated_noise(fit.recording, fit.settings)
+    return {
+        "bag": str(fit.recording.path),
+        "bicycle": fit.bicycle.name,
+        "start_ns": start_ns,
+        "strikes": [_strike(one, fit.settings, asked, stated) for one in fit.strikes],
+        "settings": {
+            "free": list(fit.settings.free) if fit.settings.free else None,
+            "fixed": dict(fit.settings.fixed),
+            "priors": {name: list(prior) for name, prior in fit.settings.priors.items()},
+            "speed_model": fit.settings.speed_model,
+            "resistance": fit.settings.resistance,
+            "channels": list(fit.settings.channels),
+            "noise": fit.settings.noise,
+            "noise_std": fit.settings.noise_std,
+            "oscillator": list(fit.settings.oscillator),
+            "loss": fit.settings.loss,
+            "gyroscope_range": fit.settings.gyroscope_range,
+            "saturation": fit.settings.saturation,
+            "slip_window": fit.settings.slip_window,
+            "slip": fit.settings.slip,
+            "intervals": fit.settings.intervals,
+            "window": fit.settings.window,
+            "steer_torque": fit.settings.steer_torque,
+        },
+        "rejected": [
+            {"time_ns": one.time_ns, "lean_rate_change": one.change, "why": one.why} for one in fit.rejected
+        ],
+        "recording": dict(fit.recording.custom_data),
+        "warnings": list(fit.recording.warnings),
+    }
+
+
+def _strike(
+    fit: StrikeFit, settings: Settings, asked: Collection[str], stated: StatedNoise | None
+) -> dict[str, Any]:
+    window = fit.window
+    return {
+        "time_ns": fit.start_ns,
+        "window": [fit.strike.time_ns, fit.end_ns],
+        "ended_by": {"kind": fit.ending.kind, "why": fit.ending.why} if fit.ending else None,
+        "lean_rate_change": fit.strike.change,
+        "detection": _detection(fit.strike),
+        "start_std": window.delay_std if window else None,
+        "speed": fit.speed if window else None,
+        "lean_rate_gain": window.lean_rate_gain if window else None,
+        "estimates": [
+            {**_estimate(one), "criticism": criticism_json(window, one, stated) if window else None}
+            for one in fit.estimates
+        ],
+        **scrutiny_json(fit, settings, asked),
+    }
+
+
+def _detection(strike: Strike) -> dict[str, Any]:
+    """Why there is a strike, in words and figures."""
+    return {
+        "kind": strike.kind,
+        "why": strike.why,
+        "onset_ns": strike.onset_ns,
+        "end_ns": strike.end_ns,
+        "end_std": strike.end_std,
+        "rise": strike.rise,
+        "needed": strike.needed,
+        "noise": strike.noise,
+        "sharp": strike.sharp,
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "estimator": estimate.estimator,
+        "status": estimate.status,
+        "message": estimate.message,
+        "parameters": {
+            name: {"value": float(value), "std": float(std), "ci95": [_end(low), _end(high)]}
+            for name, value, std, (low, high) in zip(
+                estimate.names, estimate.values, estimate.std, estimate.ci95, strict=True
+            )
+        },
+        "known": dict(estimate.known),
+        "vaf": estimate.vaf,
+        "sample_count": estimate.sample_count,
+        "residual_std": estimate.residual_std,
+        "log_likelihood": estimate.log_likelihood,
+        "aic": estimate.aic,
+        "bic": estimate.bic,
+        "noise": {"model": estimate.noise_model, **estimate.noise},
+        "loss": estimate.loss,
+        "chosen": list(estimate.chosen),
+        "correlation": estimate.correlation.tolist() if estimate.names else [],
+        "residual_autocorrelation": estimate.residual_autocorrelation,
+    }
+
+
+def _end(value: float) -> float | None:
+    """An end of an interval; None: it is open there."""
+    return float(value) if math.isfinite(value) else None
+
+
+def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
+    """One line per strike and estimator, why each is a strike, what speaks against the model."""
+    lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
+    lines += [f"warning: {warning}" for warning in fit.recording.warnings]
+    if fit.strikes:
+        lines.append(
+            f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}"
+            "   VAF lean, yaw"
+        )
+    for strike in fit.strikes:
+        when = (strike.start_ns - first_stamp(fit.recording)) / 1e9
+        for estimate in strike.estimates:
+            known = strike.window.start_speed if strike.window else math.nan
+            speed = f"{estimate.complete.get('speed', known):7.3f}".replace("nan", "  -")
+            doubted = strike.doubt is not None and estimate.names == strike.estimates[0].names
+            mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
+            mark += " ?" if doubted else ""
+            lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
+    lines.extend(_reasons(fit))
+    lines.extend(
+        f"{(one.start_ns - first_stamp(fit.recording)) / 1e9:10.4f} found: {_others(one.estimates[0])}"
+        for one in fit.strikes
+        if set(one.estimates[0].names) - set(DEFAULT_FREE)
+    )
+    stated = stated_noise(fit.recording, fit.settings)
+    for one in fit.strikes:
+        when = (one.start_ns - first_stamp(fit.recording)) / 1e9
+        lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked, stated))
+    if any(one.doubt for one in fit.strikes):
+        lines.append("? doubtful, as told above: no interval covers a wrong model")
+    if any(line.removesuffix(" ?").endswith(" *") for line in lines):
+        lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
+    if not fit.strikes:
+        least = StrikeSettings().least_change
+        lines.append(f"no strike: no sudden change of the lean rate of {least:g} rad/s or more within 0.3 s")
+    return "\n".join(lines)
+
+
+def _reasons(fit: RecordingFit) -> list[str]:
+    """Why each strike is one, and how many changes were none."""
+    first = first_stamp(fit.recording)
+    lines = [
+        f"{(one.start_ns - first) / 1e9:10.4f} {one.strike.kind}: {one.strike.why}" for one in fit.strikes
+    ]
+    lines += [
+        f"{(one.start_ns - first) / 1e9:10.4f} window {(one.end_ns - one.start_ns) / 1e9:.2f} s:"
+        f" {one.ending.why}"
+        for one in fit.strikes
+        if one.ending
+    ]
+    if fit.rejected:
+        lines.append(
+            f"looked at and not taken: {len(fit.rejected)} changes (--json says why; --strike TIME overrides)"
+        )
+    return lines
+
+
+def _others(estimate: Estimate) -> str:
+    """What was found beside the initial lean rate, with standard errors."""
+    found = zip(estimate.names, estimate.values, estimate.std, strict=True)
+    return ", ".join(
+        f"{name} {value:.4g} +- {std:.2g}" for name, value, std in found if name != "initial_lean_rate"
+    )
+
+
+def _in_words(estimate: Estimate) -> str:
+    if estimate.status != "ok":
+        return f"{estimate.status}: {estimate.message}"
+    vaf = ", ".join(f"{value:.3f}" for value in estimate.vaf.values())
+    if "initial_lean_rate" not in estimate.names:
+        return f"{', '.join(f'{name} {value:.5f}' for name, value in estimate.parameters.items())}   {vaf}"
+    index = estimate.names.index("initial_lean_rate")
+    low, high = estimate.ci95[index]
+    return f"{estimate.values[index]:+9.5f}  95 % [{low:+9.5f}, {high:+9.5f}]   {vaf}"

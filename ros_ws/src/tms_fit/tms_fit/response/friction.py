@@ -1,0 +1,72 @@
+"""The response of a bicycle whose steering rubs: Coulomb friction in the headset.
+
+    torque = -T clip(steer rate / SMOOTH, -1, 1)
+
+so that the steering doesn't stick but creeps: below SMOOTH the friction is proportional to the steer rate. A
+step of at most STEP takes the friction of its mean steer rate, which is solved for (the midpoint rule;
+without friction the steps are exact). The response isn't linear in the initial state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from tms_fit.response.discretization import Transitions, as_ridden, discretize, known_values
+from tms_fit.settings import FRICTION, INITIAL
+from tms_fit.window import Window
+from tms_model import Bicycle
+from tms_model.bicycle import Array
+from tms_model.response import STATE
+
+SMOOTH = 0.0005  # [rad/s]
+STEP = 0.001  # [s]
+STEER_RATE = STATE.index("steer_rate")
+
+
+def friction_response(window: Window, values: Mapping[str, float]) -> tuple[Array, Transitions]:
+    """States (n, 4) at a window's samples, and the motion in small steps of which they are the last ones.
+
+    values: nonlinear parameters by name, friction [N m] and initial state among them. Raises ParameterError
+    as `tms_fit.response.discretization.discretize` does.
+    """
+    named = {**known_values(window), **values}
+    friction = named[FRICTION]
+    times, places = _finer(window.time, named["strike_time"])
+    bicycle, gain = _bare(window, named["lean_rate_gain"])
+    fine = replace(window, bicycle=bicycle, time=times, lean_rate_gain=0.0)
+    moved = discretize(fine, {**values, "lean_rate_gain": 0.0})
+    known = np.zeros(len(times))
+    if window.steer_torque is not None:
+        held = gain * np.nan_to_num(window.steer_torque)
+        interval = np.searchsorted(places, np.arange(len(times)))  # that of the sample at its end
+        known = held[np.maximum(interval - 1, 0)]
+    states = np.empty((len(times), 4))
+    state = np.array([named.get(name, 0.0) for name in INITIAL])
+    push = moved.torque_steps
+    soft = SMOOTH + 0.5 * friction * push[:, STEER_RATE]
+    for k, transition in enumerate(moved.transitions):
+        free = transition @ state + push[k] * known[k]
+        turning = 0.5 * (state[STEER_RATE] + free[STEER_RATE]) / soft[k]
+        state = free - push[k] * (friction * min(max(turning, -1.0), 1.0))
+        states[k] = state
+    return states[places], replace(moved, yaw=moved.yaw[places])
+
+
+def _finer(time: Array, start: float) -> tuple[Array, Array]:
+    """Times of steps of at most STEP from the start on, and the places (n,) of the samples among them."""
+    ends = np.append(start, time)
+    counts = np.maximum(np.ceil(np.round(np.diff(ends) / STEP, 6)).astype(int), 1)
+    parts = [
+        low + (high - low) * np.arange(1, count + 1) / count
+        for low, high, count in zip(ends[:-1], ends[1:], counts, strict=True)
+    ]
+    return np.concatenate(parts), np.cumsum(counts) - 1
+
+
+def _bare(window: Window, lean_rate_gain: float) -> tuple[Bicycle, float]:
+    """The bicycle with the run's controller in it, a torque arriving whole, and the share that arrived."""
+    ridden = as_ridden(window.bicycle, lean_rate_gain)
+    whole = replace(ridden.steer_elements, steer_torque_gain=1.0)
+    return replace(ridden, steer_elements=whole), window.bicycle.steer_elements.steer_torque_gain

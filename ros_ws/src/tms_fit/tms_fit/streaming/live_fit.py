@@ -1,0 +1,206 @@
+"""A live fit over messages as they arrive: bytes in, messages out. The estimator node only carries them.
+
+Until the bicycle is known (from `run_info`, or given), messages wait. When time jumps back or a new run is
+announced, the fit begins anew.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+from tms_bag import Record, RecordingError, conversion, topics
+from tms_bag.samples import RunInfo
+from tms_model import Bicycle, ParameterError, load_bicycle
+
+from tms_fit.estimators import check_names
+from tms_fit.kalman.extended_filter import SLOW
+from tms_fit.messages import estimate_records, filter_state_record
+from tms_fit.recording_fit import orientation_of, stated_bicycle
+from tms_fit.settings import Settings
+from tms_fit.streaming.online import OnlineFit
+from tms_fit.strike_fit import StrikeFit
+
+INPUTS = (
+    topics.RUN_INFO,
+    topics.SPEED,
+    topics.SPEED_COVARIANCE,
+    topics.STEER_TORQUE,
+    topics.LEAN_YAW,
+    topics.IMU,
+)
+JUMP_BACK = 1_000_000_000  # [ns]; an earlier stamp than this is a new run, not a late sample
+GAP = 500_000_000  # [ns] between IMU samples that is counted as one
+WAIT_FOR_RUN_INFO = 100  # IMU samples to wait for a run_info when the bicycle was given
+MOST_HELD = 100_000  # messages kept while the bicycle isn't known; the oldest go first
+MOST_STRIKES = 100  # that can be fitted once more
+MOST_RUNS = 10  # whose samples are kept, so that a window may become longer
+SAME_STRIKE = 100_000_000  # [ns] between the start that is asked for and the strike that is meant
+REORDER_WINDOW = 0.1  # [s]
+PREVIEW_PERIOD = 0.25  # [s]
+
+
+class LiveFit:
+    """Takes messages, gives estimates and filter states. Raises ParameterError for an unknown bicycle."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        bicycle: str = "",
+        reorder_window: float = REORDER_WINDOW,
+        preview_period: float = PREVIEW_PERIOD,
+    ) -> None:
+        """See `OnlineFit` for reorder_window and preview_period [s]; without a bicycle run_info names it."""
+        self.settings = settings
+        self._reorder_window, self._preview_period = reorder_window, preview_period
+        check_names(settings.estimators)
+        self._given = load_bicycle(bicycle) if bicycle else None
+        self._announced: Bicycle | None = None  # by run_info, which may have no file opened
+        self.counts: Counter[str] = Counter()
+        self._info: RunInfo | None = None
+        self._online: OnlineFit | None = None
+        self._held: deque[tuple[str, Record]] = deque(maxlen=MOST_HELD)
+        self._strikes: deque[tuple[OnlineFit, StrikeFit]] = deque(maxlen=MOST_STRIKES)
+        self._runs: deque[OnlineFit] = deque()  # that have ended, the latest ones
+        self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
+        self._newest_ns = 0
+
+    def take(self, topic: str, data: bytes) -> list[Record]:
+        """Use one message of a topic of INPUTS; return the messages to publish."""
+        self.counts[topic] += 1
+        record = Record(f"/{topic}", topics.TYPES[topic], 0, data)
+        if topic == topics.RUN_INFO:
+            return self._announce(conversion.run_info(record))
+        if self._online is None:
+            self.counts["forgotten"] += len(self._held) == MOST_HELD
+            self._held.append((topic, record))
+            waited = self._given and sum(kind == topics.IMU for kind, _ in self._held) > WAIT_FOR_RUN_INFO
+            return self._begin() if waited else []
+        self._add(topic, record)
+        return self._answers()
+
+    def finish(self) -> list[Record]:
+        """No more samples for now: fit what is open, and begin anew with the next sample."""
+        if self._online is None:
+            return self._begin() + self.finish() if self._given and self._held else []
+        self._online.finish()
+        answers = self._answers()
+        self._restart()
+        return answers
+
+    def refit(self, strike_ns: int, settings: Settings, bicycle: str = "") -> StrikeFit:
+        """Fit a strike once more: that whose free response starts at `strike_ns` (to 0.1 s), 0: the last.
+
+        Raises ParameterError for an unknown bicycle or estimator, and where there is no such strike.
+        """
+        near = [one for one in self._strikes if abs(one[1].start_ns - strike_ns) <= SAME_STRIKE]
+        found = near or ([] if strike_ns else [*self._strikes])
+        if not found:
+            starts = ", ".join(f"{fit.start_ns / 1e9:.3f}" for _, fit in self._strikes) or "none"
+            raise ParameterError(f"strike: expected one of {starts} [s], found {strike_ns / 1e9:.3f}")
+        online, fit = found[-1]
+        return online.refit(fit, load_bicycle(bicycle) if bicycle else online.bicycle, settings)
+
+    def _announce(self, info: RunInfo) -> list[Record]:
+        answers = self.finish() if self._online is not None and self._newest_ns else []
+        self._info, self._announced = info, None
+        try:
+            self._announced = stated_bicycle(info)
+        except ParameterError:
+            if info.bicycle and self._given is None:
+                self.counts["unknown_bicycle"] += 1
+        return answers + self._begin()
+
+    def _begin(self) -> list[Record]:
+        self._restart()
+        if self._online is None:
+            return []
+        while self._held:
+            self._add(*self._held.popleft())
+        return self._answers()
+
+    @property
+    def bicycle(self) -> str:
+        """Name of the bicycle; empty while it isn't known."""
+        bicycle = self._given or self._announced
+        return bicycle.name if bicycle else ""
+
+    @property
+    def diagnostics(self) -> dict[str, int]:
+        """What came, and what was left out and why."""
+        return dict(self.counts + self._online.counts if self._online else self.counts)
+
+    @property
+    def slow_states(self) -> dict[str, str]:
+        """What the extended filter says now of biases, speed and C_r, with standard deviations, SI units."""
+        step = self._online.last_step if self._online else None
+        if step is None or step.slow is None or step.slow_covariance is None:
+            return {}
+        std = np.sqrt(np.diag(step.slow_covariance))
+        return {
+            name: f"{value:.4g} +- {one:.2g}" for name, value, one in zip(SLOW, step.slow, std, strict=True)
+        }
+
+    def _restart(self) -> None:
+        if self._online is not None:
+            self.counts.update(self._online.counts)
+            if self._newest_ns:
+                self._runs.append(self._online)
+            if len(self._runs) > MOST_RUNS:
+                self._runs.popleft().forget()
+        bicycle = self._given or self._announced
+        self._newest_ns = 0
+        self._online = None
+        if bicycle:
+            speed = self._info.speed if self._info else float("nan")
+            self._online = OnlineFit(
+                bicycle,
+                self.settings,
+                orientation_of(self._info),
+                speed,
+                reorder_window=self._reorder_window,
+                preview_period=self._preview_period,
+            )
+
+    def _add(self, topic: str, record: Record) -> None:
+        assert self._online is not None
+        try:
+            if topic == topics.IMU:
+                self._add_imu(record)
+            elif topic == topics.SPEED:
+                self._online.add_speed(*conversion.speed_reading(record))
+            elif topic == topics.SPEED_COVARIANCE:
+                self._online.add_speed(*conversion.speed_covariance_reading(record))
+            elif topic == topics.LEAN_YAW:
+                self._online.add_saturation(*conversion.saturation_reading(record))
+            else:
+                self._online.add_steer_torque(*conversion.steer_torque_reading(record))
+        except RecordingError:
+            self.counts["unreadable"] += 1
+
+    def _add_imu(self, record: Record) -> None:
+        time_ns, angular_velocity, variance = conversion.imu_reading(record)
+        if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
+            self.counts["jumps_back"] += 1
+            assert self._online is not None
+            self._online.finish()
+            self._pending = self._answers()
+            self._restart()
+        elif self._newest_ns and time_ns > self._newest_ns + GAP:
+            self.counts["gaps"] += 1
+        self._newest_ns = max(self._newest_ns, time_ns)
+        assert self._online is not None
+        self._online.add_imu(time_ns, angular_velocity, variance)
+
+    def _answers(self) -> list[Record]:
+        assert self._online is not None
+        answers, self._pending = self._pending, []
+        for result in self._online.results():
+            if isinstance(result, StrikeFit):
+                if result.final:
+                    self.counts["strikes"] += 1
+                    self._strikes.append((self._online, result))
+                answers.extend(estimate_records(result))
+            else:
+                answers.append(filter_state_record(result))
+        return answers

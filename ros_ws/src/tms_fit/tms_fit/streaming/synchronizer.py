@@ -1,0 +1,178 @@
+"""IMU samples in the order of their stamps, each with the speed and the steer torque of its time.
+
+What comes out depends on the samples and their stamps alone, not on the order in which they come, as long as
+an IMU sample is no later than the reorder window: it waits that long for earlier ones, and until speed and
+steer torque are known up to its time, or are late by more than `PATIENCE`.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from tms_bag.samples import IntArray
+from tms_model.bicycle import Array
+
+from tms_fit.streaming.gyroscopes import FLAGS, Gyroscopes, Vector
+from tms_fit.strikes.strike import NANOSECONDS
+
+Reading = tuple[int, Vector, Vector]  # stamp, angular velocity in imu axes, variance
+MOST_FLAGS = 1000  # that wait for their IMU sample
+PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sample:
+    """One IMU sample and what is known of its time."""
+
+    time_ns: int
+    angular_velocity: Vector  # [rad/s], SAE axes of the rear frame; NaN: absent
+    variance: Vector  # [rad^2/s^2], NaN: unknown
+    speed: float  # [m/s], NaN: unknown
+    steer_torque: float  # [N m], NaN: unknown
+    unsaturated: Vector  # angular_velocity, NaN where an axis of the sensor at its limit enters
+    speed_ns: int | None = None  # when the speed was measured; None: it was not
+    flags: int = 0  # of tms_msgs/LeanYaw: axes of the gyroscopes that somebody marked as at their limit
+
+
+class Series:
+    """Samples of one slow topic; of those with the same stamp the first that came, or that has a variance."""
+
+    def __init__(self) -> None:
+        self.time: list[int] = []
+        self.value: list[float] = []
+        self.variance: list[float] = []  # NaN: unknown
+
+    def add(self, time_ns: int, value: float, variance: float = math.nan) -> None:
+        """One value, at its place in time."""
+        index = len(self.time)
+        if index and time_ns <= self.time[-1]:
+            index = bisect_left(self.time, time_ns)
+            if self.time[index] == time_ns:
+                if math.isnan(self.variance[index]) and not math.isnan(variance):
+                    self.value[index], self.variance[index] = value, variance
+                return
+        self.time.insert(index, time_ns)
+        self.value.insert(index, value)
+        self.variance.insert(index, variance)
+
+    def at(self, time_ns: int) -> tuple[float, int | None]:
+        """The last value at or before a time, and when it was measured; NaN and None before the first."""
+        index = bisect_right(self.time, time_ns)
+        return (self.value[index - 1], self.time[index - 1]) if index else (math.nan, None)
+
+    def between(self, first_ns: int, last_ns: int) -> tuple[IntArray, Array, Array]:
+        """Times [ns], values and variances from the one that holds at `first_ns` to `last_ns`."""
+        first, last = bisect_right(self.time, first_ns), bisect_right(self.time, last_ns)
+        since = slice(max(first - 1, 0), last)
+        return (
+            np.array(self.time[since], dtype=np.int64),
+            np.array(self.value[since], dtype=float),
+            np.array(self.variance[since], dtype=float),
+        )
+
+    def forget(self, before_ns: int) -> None:
+        """Drop what no longer matters after a time."""
+        index = bisect_right(self.time, before_ns) - 1  # keeps the one that holds at before_ns
+        if index > 1000:
+            del self.time[:index], self.value[:index], self.variance[:index]
+
+
+class SampleSynchronizer:
+    """Takes samples of all topics as they arrive, gives complete ones in the order of their stamps."""
+
+    def __init__(
+        self, gyroscopes: Gyroscopes, reorder_window: float, fixed_speed: float | None = None
+    ) -> None:
+        """reorder_window [s]: longest that an IMU sample may come after a later one; fixed_speed [m/s]."""
+        self.speed, self.steer_torque = Series(), Series()
+        self.counts: Counter[str] = Counter()  # of IMU samples left out: repeated, late; and saturated ones
+        self._gyroscopes = gyroscopes
+        self._reorder_ns = round(reorder_window * NANOSECONDS)
+        self._fixed_speed = fixed_speed
+        self._waiting: list[Reading] = []
+        self._flags: dict[int, int] = {}  # by stamp, of samples that are still to be given
+        self._first_ns: int | None = None
+        self._given_ns: int | None = None  # stamp of the last sample given
+
+    def add_imu(self, time_ns: int, angular_velocity: Vector, variance: Vector) -> None:
+        """Gyroscopes [rad/s] in imu axes and their variances; see Sample."""
+        if self._given_ns is not None and time_ns <= self._given_ns:
+            self.counts["repeated" if time_ns == self._given_ns else "late"] += 1
+            return
+        reading, waiting = (time_ns, angular_velocity, variance), self._waiting
+        if not waiting or time_ns > waiting[-1][0]:
+            waiting.append(reading)
+        else:
+            index = bisect_left(waiting, time_ns, key=_stamp)
+            if waiting[index][0] == time_ns:
+                self.counts["repeated"] += 1
+                return
+            waiting.insert(index, reading)
+        if self._first_ns is None or time_ns < self._first_ns:
+            self._first_ns = time_ns
+
+    def add_flags(self, time_ns: int, flags: int) -> None:
+        """Axes of the gyroscopes at their limit in the IMU sample of this stamp, flags of tms_msgs/LeanYaw.
+
+        Those of a sample that has been given are late: they change nothing, and are counted.
+        """
+        flags &= FLAGS
+        if not flags:
+            return
+        if self._given_ns is not None and time_ns <= self._given_ns:
+            self.counts["late_flags"] += 1
+            return
+        if len(self._flags) >= MOST_FLAGS:  # of samples that never came
+            self.counts["late_flags"] += 1
+            del self._flags[min(self._flags)]
+        self._flags[time_ns] = self._flags.get(time_ns, 0) | flags
+
+    def ready(self, finished: bool = False) -> Iterator[Sample]:
+        """The samples that are complete; all that wait if no more will come."""
+        while self._waiting and (finished or self._complete(self._waiting[0][0])):
+            yield self._give(*self._waiting.pop(0))
+
+    def _give(self, time_ns: int, rates: Vector, variance: Vector) -> Sample:
+        """A reading with what is known of its time."""
+        self._given_ns = time_ns
+        flags = self._flags.pop(time_ns, 0) if self._flags else 0
+        turned = self._gyroscopes.in_rear_frame(rates)
+        unsaturated = self._gyroscopes.unsaturated(rates, flags)
+        if unsaturated is not None:
+            self.counts["saturated"] += 1
+        speed, speed_ns = self._fixed_speed, None
+        if speed is None:
+            speed, speed_ns = self.speed.at(time_ns)
+        return Sample(
+            time_ns=time_ns,
+            angular_velocity=turned,
+            variance=variance,
+            speed=speed,
+            steer_torque=self.steer_torque.at(time_ns)[0],
+            unsaturated=turned if unsaturated is None else unsaturated,
+            speed_ns=speed_ns,
+            flags=flags,
+        )
+
+    def _complete(self, time_ns: int) -> bool:
+        assert self._first_ns is not None
+        newest = self._waiting[-1][0]
+        if newest < time_ns + self._reorder_ns:
+            return False
+        if newest >= time_ns + PATIENCE:
+            return True
+        # Which topics there are shows in the first half second.
+        starting = time_ns < self._first_ns + PATIENCE
+        speed, torque = self.speed.time, self.steer_torque.time
+        return (speed[-1] >= time_ns if speed else not starting) and (
+            torque[-1] >= time_ns if torque else not starting
+        )
+
+
+def _stamp(sample: Reading) -> int:
+    return sample[0]
