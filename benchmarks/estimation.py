@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import resource
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
-from measure import by_processor, in_turn, print_machine, print_timings, shared
+from measure import by_processor, in_turn, print_machine, print_timings
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.batch import fit_batch
-from tms_fit.least_squares.table import Table, tabulate
-from tms_fit.least_squares.varpro import Problem
 from tms_fit.response.prediction import predictor
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
@@ -39,9 +34,8 @@ NAIVE, HOISTED, LMFIT = (
     "scipy, hoisted, errors as ours",
     "lmfit, exact model",
 )
-ONE, WINDOW = "tms_fit, by table, one after the other", "tms_fit, fit_window"
-FIRST_ONE = "tms_fit, by table, first after other work"
-IN_A_ROW = 100  # different runs, each fitted alone: what one takes, on average
+WINDOW = "tms_fit, fit_window"
+SETTINGS = Settings(free=("initial_lean_rate", "speed"), noise="white")
 
 
 def main() -> None:
@@ -50,86 +44,29 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few repeats and small sizes: does it run?")
     parser.add_argument("--samples", type=int, default=400, help="of a run, 100 a second (default 400)")
     arguments = parser.parse_args()
-    quick = arguments.quick
-    samples, repeats, runs = (100, 3, 200) if quick else (arguments.samples, 21, 10_000)
+    samples, repeats = (100, 3) if arguments.quick else (arguments.samples, 21)
     print_machine(("numpy", "scipy", "lmfit"))
     print(f"initial lean rate and speed from {samples} samples of two channels")
     print(f"processor time, medians of {repeats} repeats")
     window = clean_window(samples)
-    clean, rng = window.measured, np.random.default_rng(1)
-    start = time.process_time()
-    table = tabulate(Problem(window, ("initial_lean_rate",), ("speed",)), {"speed": (3.0, 4.2)})
-    built = 1e3 * (time.process_time() - start)
-    print(
-        f"table for 3 to 4.2 m/s, made once per bicycle and sampling: {built:.0f} ms,"
-        f" {table.orders[0]} terms, {table.rank} dimensions, error {table.error:.0e} of the largest rate"
-    )
-    measured = clean + NOISE * rng.standard_normal((runs, samples, 2))
-    compare(window, table, measured, repeats)
-    print_agreement(window, table, measured[0])
-    print_growth(table, clean, rng, (100, 1000) if quick else (10_000, 100_000, 1_000_000))
+    measured = window.measured + NOISE * np.random.default_rng(1).standard_normal((samples, 2))
+    compare(replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]), repeats)
 
 
-def compare(window: Window, table: Table, measured: Array, repeats: int) -> None:
-    """One run by each way, and many by ours."""
-    time_s, one = window.time, measured[0]
-    noisy = replace(window, lean_rate=one[:, 0], yaw_rate=one[:, 1])
-    settings = Settings(free=("initial_lean_rate", "speed"), noise="white")
-    batch = f"tms_fit, {len(measured)} runs at once"
-    start = FIRST[1:]
-    timings = in_turn(
-        {
-            NAIVE: lambda: by_scipy(time_s, one),
-            HOISTED: lambda: by_hoisted_scipy(time_s, one),
-            LMFIT: lambda: by_lmfit(time_s, one),
-            WINDOW: lambda: fit_window(noisy, settings),
-            FIRST_ONE: lambda: fit_batch(table, measured[:1], start),
-            ONE: lambda: [fit_batch(table, measured[k : k + 1], start) for k in range(IN_A_ROW)],
-            batch: lambda: fit_batch(table, measured, start),
-        },
-        repeats,
-    )
-    timings = by_processor(timings)
-    timings[ONE] = shared(timings[ONE], IN_A_ROW)
-    print_timings("initial lean rate and speed", timings, NAIVE)
-    per_run = timings[batch].median / len(measured)
-    print(f"  per run of the batch {1e6 * per_run:.2f} us", end="")
-    for name in (NAIVE, HOISTED, LMFIT):
-        print(f", {timings[name].median / per_run:.0f} times faster than {name.split(',')[0]}", end="")
-        print(" hoisted" if name == HOISTED else "", end="")
-    print()
-
-
-def print_agreement(window: Window, table: Table, measured: Array) -> None:
-    """By how much the ways differ, in standard errors."""
-    settings = Settings(free=("initial_lean_rate", "speed"), noise="white")
-    best = fit_window(replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]), settings)
-    found = {
-        NAIVE: by_scipy(window.time, measured),
-        HOISTED: by_hoisted_scipy(window.time, measured),
-        LMFIT: by_lmfit(window.time, measured),
-        ONE: fit_batch(table, measured[None], FIRST[1:]).values[0],
+def compare(window: Window, repeats: int) -> None:
+    """Print the time of each method, and by how many standard errors the methods differ."""
+    time_s, measured = window.time, window.measured
+    peers = {
+        NAIVE: lambda: by_scipy(time_s, measured),
+        HOISTED: lambda: by_hoisted_scipy(time_s, measured),
+        LMFIT: lambda: by_lmfit(time_s, measured),
     }
+    timings = in_turn({**peers, WINDOW: lambda: fit_window(window, SETTINGS)}, repeats)
+    print_timings("initial lean rate and speed", by_processor(timings), NAIVE)
+    best = fit_window(window, SETTINGS)
     print("\nlargest difference to fit_window, in standard errors")
-    for name, values in found.items():
-        print(f"  {name:44} {np.abs((values - best.values) / best.std).max():.1e}")
-
-
-def print_growth(table: Table, clean: Array, rng: np.random.Generator, counts: tuple[int, ...]) -> None:
-    """Cost per fit and memory, runs made and fitted 10,000 at a time."""
-    print("\nmany fits, 10,000 at a time")
-    noise = NOISE * rng.standard_normal((min(10_000, counts[0]), *clean.shape))
-    for count in counts:
-        spent = 0.0
-        for k in range(0, count, len(noise)):
-            measured = clean + np.roll(noise, k // len(noise), axis=1)
-            start = time.process_time()
-            fit_batch(table, measured)
-            spent += time.process_time() - start
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(
-            f"  {count:9d} fits {1e6 * spent / count:8.2f} us each, at most {peak:.0f} MiB of memory so far"
-        )
+    for name, method in peers.items():
+        print(f"  {name:44} {np.abs((method() - best.values) / best.std).max():.1e}")
 
 
 def clean_window(count: int) -> Window:

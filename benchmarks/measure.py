@@ -65,14 +65,6 @@ def by_processor(timings: dict[str, Timing]) -> dict[str, Timing]:
     return {name: Timing(name, one.processor, one.processor) for name, one in timings.items()}
 
 
-def shared(timing: Timing, count: int) -> Timing:
-    """What each of `count` equal parts takes."""
-    durations, processor = (
-        (tuple(one / count for one in all_)) for all_ in (timing.durations, timing.processor)
-    )
-    return Timing(timing.name, durations, processor)
-
-
 def print_timings(title: str, timings: dict[str, Timing], reference: str) -> None:
     """One line for each way: median, quartiles, and how many times faster than the reference it is."""
     print(f"\n{title}")
