@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from tms_fit.diagnostics.error_budget import error_budget
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.parameters import DEFAULT_FREE
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate

@@ -17,8 +17,9 @@ from tms_fit.diagnostics.hypothesis_tests import _no_slip, impulse_ratio, run_hy
 from tms_fit.diagnostics.residual_tests import diagnose_residuals, fisher_g, fit_percent, ljung_box, nis_band
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.parameters import CHANNELS, DEFAULT_FREE
 from tms_fit.response.prediction import predictor
-from tms_fit.settings import CHANNELS, DEFAULT_FREE, Settings
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle, response, yaw_rate

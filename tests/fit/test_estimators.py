@@ -15,7 +15,8 @@ from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
 from tms_fit.least_squares.make_estimate import variance_accounted_for
 from tms_fit.least_squares.varpro import Problem
-from tms_fit.settings import BIASES, DEFAULT_FREE, INITIAL, Settings
+from tms_fit.parameters import BIASES, DEFAULT_FREE, INITIAL
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, response, yaw_rate

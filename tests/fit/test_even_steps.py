@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tms_fit.parameters import INITIAL
 from tms_fit.response.discretization import discretize
 from tms_fit.response.even_steps import even_transitions
 from tms_fit.response.prediction import predictor
-from tms_fit.settings import INITIAL
 from tms_model import ParameterError, bicycle_names, load_bicycle
 from tms_model.varying_speed import varying_response, varying_system, varying_yaw_rate
 

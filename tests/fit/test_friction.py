@@ -10,9 +10,10 @@ from scipy.integrate import solve_ivp
 from tms_calibrate.pooled_fit import SHAREABLE
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.parameters import FRICTION
 from tms_fit.response.friction import SMOOTH
 from tms_fit.response.prediction import predictor
-from tms_fit.settings import FRICTION, Settings
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, load_bicycle

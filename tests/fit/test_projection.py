@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares as brute_force
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.parameters import INITIAL, NONLINEAR, PARAMETERS
 from tms_fit.response.prediction import STEPS, derivative, predictor
-from tms_fit.settings import INITIAL, NONLINEAR, PARAMETERS, Settings
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import SpeedProfile, constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.settings import DEFAULT_FREE
+from tms_fit.parameters import DEFAULT_FREE
 from tms_sim.scenario import load_scenario, scenario_names
 
 # Runs of the supplement's idealisation, with a sensor that isn't ideal: there the fit's model is the run's.

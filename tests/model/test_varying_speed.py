@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from tms_model import Bicycle, ParameterError, bicycle_names, linear_system, load_bicycle, response, yaw_rate
 from tms_model.acceleration import (
-    RESISTANCES,
     STAND_INS,
-    Resistance,
     acceleration_stiffness,
     coasting_loss,
     effective_mass,
@@ -21,6 +19,7 @@ from tms_model.acceleration import (
 )
 from tms_model.nonlinear import motion, whipple_parameters
 from tms_model.nonlinear_response import OK, SPEED, moving, nonlinear_response
+from tms_model.resistance import RESISTANCES, Resistance
 from tms_model.varying_speed import state_matrices, varying_response, varying_system, varying_yaw_rate
 
 Array = NDArray[np.float64]

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tms_bag import BagWriter, read_recording
+from tms_fit.parameters import PARAMETERS
 from tms_fit.recording_fit import bicycle_of, fit_recording
-from tms_fit.settings import PARAMETERS, Settings
+from tms_fit.settings import Settings
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 from tms_study.bound import Experiment, bound, planned, table

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student_t
-from tms_fit.settings import check_known
+from tms_fit.parameters import check_known
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
 from tms_model.changes import numbers_of

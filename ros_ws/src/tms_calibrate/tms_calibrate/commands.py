@@ -1,27 +1,30 @@
-"""The commands that take several recordings: `together` and `calibrate`."""
+"""The commands `fit together` and `fit calibrate`, which take several recordings.
+
+What a command needs is imported when it runs: `fit --help` lists these commands without numpy and scipy.
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-from tms_bag import RecordingError, read_recording
-from tms_fit.arguments import add_noise_arguments, add_prior_argument, assignment, each_once, names
-from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
-from tms_fit.settings import PARAMETERS, SPEED_MODELS, STEER_TORQUES, Settings
-from tms_model import ParameterError, bicycle_names, load_bicycle
+from tms_bag.errors import RecordingError
+from tms_fit.arguments import add_options, each_once, names, settings_of
+from tms_fit.parameters import PARAMETERS
 from tms_model.command_line import Command, Parser, print_json
-from tms_model.measured import Measured
+from tms_model.errors import ParameterError
 
-from tms_calibrate.calibration import Calibration, calibrate
-from tms_calibrate.calibration_file import sources_of, write_calibration
-from tms_calibrate.calibration_output import CrossValidationRow, calibration_json, calibration_table, judge
-from tms_calibrate.pooled_fit import Strike, fit_pooled, strikes_of, usable
-from tms_calibrate.pooled_output import together_json, together_table
-from tms_calibrate.pooled_problem import Run
-from tms_calibrate.random_effects import METHODS
+if TYPE_CHECKING:
+    from tms_fit.recording_fit import RecordingFit
+    from tms_model.measured import Measured
 
+    from tms_calibrate.calibration import Calibration
+    from tms_calibrate.calibration_output import CrossValidationRow
+    from tms_calibrate.pooled_fit import Strike
+
+METHODS = ("reml", "dersimonian_laird")  # those of tms_calibrate.random_effects
+COMMON = ("window", "speed_model", "steer_torque", "fixed")  # options of `fit run` that both commands have
 OWN_UNKNOWNS = "unknowns of each strike (default: as fit run)"
 FOUND_WITHIN = 0.3  # [s] of the time that `--near` names
 
@@ -38,22 +41,13 @@ def _declare_common(command: Parser) -> None:
         help="only the strikes nearest to these times [s] since the bag's start, 'all' for all;"
         " once per BAG, in their order",
     )
-    command.add_argument("--window", type=float, default=Settings.window, help="[s] (default %(default)s)")
-    command.add_argument(
-        "--speed-model", choices=SPEED_MODELS, default=Settings.speed_model, help="as in fit run"
-    )
-    command.add_argument(
-        "--steer-torque", choices=STEER_TORQUES, default=Settings.steer_torque, help="as in fit run"
-    )
-    command.add_argument(
-        "--fix", action="append", default=[], type=assignment, metavar="NAME=VALUE", help="as in fit run"
-    )
+    add_options(command, *COMMON)
     command.add_argument("--json", action="store_true", help="one JSON document on stdout, SI units")
 
 
 def _declare_together(command: Parser) -> None:
     _declare_common(command)
-    command.add_argument("--free", type=names, metavar="NAME,...", help=OWN_UNKNOWNS)
+    add_options(command, "free", free=OWN_UNKNOWNS)
     command.add_argument(
         "--share",
         type=names,
@@ -61,8 +55,8 @@ def _declare_together(command: Parser) -> None:
         metavar="NAME,...",
         help="unknowns that all strikes have in common: biases, numbers of the bicycle (default: none)",
     )
-    add_prior_argument(command, "an unknown, shared or of each strike")
-    add_noise_arguments(command)
+    known = "what is known beforehand of an unknown, shared or of each strike; may be repeated"
+    add_options(command, "priors", "noise", "oscillator", priors=known)
     command.add_argument(
         "--method", choices=METHODS, default="reml", help="of the random-effects mean (default reml)"
     )
@@ -73,20 +67,24 @@ def _declare_calibrate(command: Parser) -> None:
     command.add_argument("--each", type=names, metavar="NAME,...", help=OWN_UNKNOWNS)
     command.add_argument(
         "--free",
+        dest="numbers",
         type=names,
         required=True,
         metavar="NAME,...",
         help="numbers of the bicycle to be found: parameters, steer elements, or entries of the matrices",
     )
-    add_prior_argument(
-        command, "these numbers (default: the bicycle's standard deviations, else 20 %% of the value)"
-    )
+    known = "what is known beforehand of these numbers; may be repeated"
+    default = "the bicycle's standard deviations, else 20 %% of the value"
+    add_options(command, "priors", priors=f"{known} (default: {default})")
     command.add_argument("-o", "--output", required=True, help="bicycle to write, a .yaml file for --bicycle")
     command.add_argument("--picture", help="pushes against the calibrated bicycle: .png, .svg or .pdf")
 
 
 def print_together(arguments: argparse.Namespace, typed: str) -> None:
     """Answer `fit together`."""
+    from tms_calibrate.pooled_fit import fit_pooled
+    from tms_calibrate.pooled_output import together_json, together_table
+
     free = None
     if arguments.free is not None:
         free = (*(name for name in arguments.share if name in PARAMETERS), *arguments.free)
@@ -97,7 +95,7 @@ def print_together(arguments: argparse.Namespace, typed: str) -> None:
     fit = fit_pooled(
         strikes,
         arguments.share,
-        each_once(arguments.fix, "--fix"),
+        each_once(arguments.fixed, "--fix"),
         arguments.method,
         priors,
         arguments.noise,
@@ -111,6 +109,12 @@ def print_together(arguments: argparse.Namespace, typed: str) -> None:
 
 def print_calibration(arguments: argparse.Namespace, typed: str) -> None:
     """Answer `fit calibrate`; typed: the command line, which the written file records."""
+    from tms_calibrate.calibration import calibrate
+    from tms_calibrate.calibration_file import sources_of, write_calibration
+    from tms_calibrate.calibration_output import calibration_json, calibration_table, judge
+    from tms_calibrate.pooled_fit import usable
+    from tms_calibrate.pooled_problem import Run
+
     output = Path(arguments.output)
     if output.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"{output}: expected a name that ends in .yaml")
@@ -119,7 +123,7 @@ def print_calibration(arguments: argparse.Namespace, typed: str) -> None:
     parent = arguments.bicycle or _common_bicycle(fits)
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
-    calibration = calibrate(fits[0].bicycle, runs, arguments.free, priors)
+    calibration = calibrate(fits[0].bicycle, runs, arguments.numbers, priors)
     judged = judge(calibration, strikes)
     write_calibration(calibration, output, parent, typed, sources_of(fits, strikes))
     if arguments.picture:
@@ -133,6 +137,8 @@ def print_calibration(arguments: argparse.Namespace, typed: str) -> None:
 
 def _common_bicycle(fits: list[RecordingFit]) -> str:
     """Name of the bicycle of all bags: one of the catalogue, as the file to be written refers to it."""
+    from tms_model import bicycle_names
+
     found = {fit.bicycle.name for fit in fits}
     if len(found) > 1:
         raise ParameterError(f"expected bags of one bicycle, found {', '.join(sorted(found))}; use --bicycle")
@@ -148,7 +154,6 @@ def _common_bicycle(fits: list[RecordingFit]) -> str:
 def _picture(
     calibration: Calibration, strikes: tuple[Strike, ...], judged: CrossValidationRow, path: Path
 ) -> None:
-    # matplotlib takes a second to import: only who plots pays for it
     from tms_model.figures.saving import save_figure
 
     from tms_calibrate.calibration_figure import calibration_figure
@@ -157,7 +162,9 @@ def _picture(
 
 
 def _priors(arguments: argparse.Namespace) -> dict[str, Measured]:
-    return {name: Measured(mean, std) for name, (mean, std) in each_once(arguments.prior, "--prior").items()}
+    from tms_model.measured import Measured
+
+    return {name: Measured(mean, std) for name, (mean, std) in each_once(arguments.priors, "--prior").items()}
 
 
 def _fits(
@@ -171,39 +178,40 @@ def _fits(
     paths = [Path(bag).resolve() for bag in arguments.bags]
     if len(set(paths)) < len(paths):
         raise ParameterError("bags: expected each once, found one twice: its strikes would count double")
-    settings = Settings(
+    settings = settings_of(
+        arguments,
         free=free,
-        fixed=each_once(arguments.fix, "--fix"),
-        window=arguments.window,
-        speed_model=arguments.speed_model,
-        steer_torque=arguments.steer_torque,
         priors={name: (one.value, one.deviation) for name, one in priors.items()},
         noise="white",
+        oscillator=(),
         estimators=("least_squares",),
     )
+    from tms_bag import read_recording
+    from tms_fit.recording_fit import bicycle_of, fit_recording
+
     fits = []
     for bag in arguments.bags:
         recording = read_recording(bag)
-        bicycle = load_bicycle(arguments.bicycle) if arguments.bicycle else bicycle_of(recording, None)
-        fits.append(fit_recording(recording, bicycle, settings))
+        fits.append(fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings))
     return fits
 
 
 def _chosen(fits: list[RecordingFit], near: list[tuple[float, ...]] | None) -> list[Strike]:
     """All strikes, or those nearest to the times asked for."""
+    from tms_calibrate.pooled_fit import strikes_of
+
     chosen: list[Strike] = []
     for fit, times in zip(fits, near or [()] * len(fits), strict=True):
         strikes = strikes_of(fit)
-        found = np.array([one.seconds for one in strikes])
         for time in times:
-            nearest = int(np.abs(found - time).argmin()) if len(found) else -1
-            if nearest < 0 or abs(found[nearest] - time) > FOUND_WITHIN:
+            nearest = min(strikes, key=lambda one: abs(one.seconds - time), default=None)
+            if nearest is None or abs(nearest.seconds - time) > FOUND_WITHIN:
                 raise RecordingError(
                     f"{fit.recording.path}: expected a strike within {FOUND_WITHIN:g} s of {time:g} s, found"
-                    f" {f'the nearest at {found[nearest]:.2f} s' if nearest >= 0 else 'none at all'}"
+                    f" {f'the nearest at {nearest.seconds:.2f} s' if nearest else 'none at all'}"
                 )
-            if strikes[nearest] not in chosen:
-                chosen.append(strikes[nearest])
+            if nearest not in chosen:
+                chosen.append(nearest)
         chosen.extend(() if times else strikes)
     return chosen
 

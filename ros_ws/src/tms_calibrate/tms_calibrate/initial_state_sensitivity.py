@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tms_fit.settings import INITIAL
+from tms_fit.parameters import INITIAL
 from tms_model.bicycle import Array
 
 from tms_calibrate.calibration import Calibration, solve_balanced

@@ -11,8 +11,9 @@ from scipy.stats import t as student_t
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.block_arrowhead import solve_block_arrowhead
+from tms_fit.parameters import BIASES, FRICTION, LINEAR, NONLINEAR, check_known
 from tms_fit.recording_fit import RecordingFit, first_stamp
-from tms_fit.settings import BIASES, FRICTION, LINEAR, NONLINEAR, Settings, check_known
+from tms_fit.settings import Settings
 from tms_fit.window import Window, without_saturated
 from tms_model import ParameterError
 from tms_model.bicycle import Array

@@ -19,7 +19,7 @@ from tms_fit.least_squares.irls import FINEST, by_start
 from tms_fit.noise import ar, oscillator
 from tms_fit.noise.colored import ColoredNoise
 from tms_fit.noise.posterior import Family
-from tms_fit.settings import check_known
+from tms_fit.parameters import check_known
 from tms_model.bicycle import Array
 
 from tms_calibrate.pooled_posterior import Piece, Posterior, posterior

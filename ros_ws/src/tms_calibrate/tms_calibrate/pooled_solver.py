@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from tms_fit.least_squares.block_arrowhead import Block, BlockArrowheadSolution, solve_block_arrowhead
+from tms_fit.parameters import LINEAR, NONLINEAR
 from tms_fit.response.discretization import known_values
 from tms_fit.response.prediction import Predictor, derivative, predictor
-from tms_fit.settings import LINEAR, NONLINEAR
 from tms_fit.window import Window
 from tms_model import Bicycle, ParameterError, with_parameters
 from tms_model.acceleration import coasting_loss

@@ -1,17 +1,71 @@
-"""Texts of the command line and of node parameters that stand for names and numbers."""
+"""Options of a fit as arguments of a command line, and texts that stand for names and numbers."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
-from typing import TypeVar
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
-from tms_model import ParameterError
+from tms_model.errors import ParameterError
 
-from tms_fit.settings import NOISE_MODELS, Settings
+from tms_fit.settings import OPTIONS, Option, Settings
 
 Value = TypeVar("Value")
+
+
+def add_options(command: argparse.ArgumentParser, *names: str, **helps: str) -> None:
+    """Declare options of the table, by default all that a command line offers.
+
+    names: fields of Settings; helps: other texts of help, by such a name.
+    """
+    for name in names or OPTIONS:
+        one = OPTIONS[name]
+        if one.flag:
+            command.add_argument(one.flag, dest=name, help=helps.get(name, _help(one)), **_reading(one))
+
+
+def settings_of(arguments: argparse.Namespace, **values: Any) -> Settings:
+    """Settings by the arguments of `add_options`; `values` take precedence. Raises ParameterError."""
+    asked: dict[str, Any] = {}
+    for name, one in OPTIONS.items():
+        given = getattr(arguments, name, None)
+        if name in values or given is None:
+            continue
+        if one.kind in ("values", "priors"):
+            asked[name] = each_once(given, one.flag)
+        else:
+            asked[name] = tuple(given) if isinstance(given, list) else given
+    return Settings(**{**asked, **values})
+
+
+def _reading(one: Option) -> dict[str, Any]:
+    """How argparse reads an option; not given: None, and Settings has the default."""
+    if one.kind in ("values", "priors"):
+        written = {"type": assignment, "metavar": "NAME=VALUE"}
+        if one.kind == "priors":
+            written = {"type": prior, "metavar": "NAME=MEAN,STD"}
+        return {"action": "append", "default": [], **written}
+    if one.repeated:
+        return {"action": "append", "choices": one.choices}
+    if one.kind == "choice":
+        return {"choices": one.choices, "default": one.default}
+    readers: dict[str, tuple[Callable[[str], Any], str]] = {
+        "number": (float, {"s": "S", "rad/s": "RATE"}.get(one.unit, "NUMBER")),
+        "numbers": (numbers, "NUMBER,..."),
+        "names": (names, "NAME,..."),
+    }
+    read, metavar = readers[one.kind]
+    return {"type": read, "default": one.default, "metavar": one.metavar or metavar}
+
+
+def _help(one: Option) -> str:
+    """Help of an option, with its default; a choice's names stand beside its flag already."""
+    text = one.help if one.kind == "choice" or one.repeated else one.text
+    default = ", ".join(one.default) if one.kind == "names" and one.default else one.default
+    note = one.unset or (f"{default:g}" if isinstance(default, float) else f"{default}")
+    again = "; may be repeated" if one.repeated or one.kind in ("values", "priors") else ""
+    return f"{text}{again} (default: {note})".replace("%", "%%")
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -40,38 +94,6 @@ def prior(text: str) -> tuple[str, tuple[float, float]]:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"expected NAME=MEAN,STD with STD positive, found {text!r}")
-
-
-def add_prior_argument(command: argparse.ArgumentParser, unknowns: str) -> None:
-    """Declare `--prior`, the same for every command; unknowns: what a prior may be on, in words."""
-    command.add_argument(
-        "--prior",
-        action="append",
-        default=[],
-        type=prior,
-        metavar="NAME=MEAN,STD",
-        help=f"what is known beforehand of {unknowns}; may be repeated",
-    )
-
-
-def add_noise_arguments(command: argparse.ArgumentParser) -> None:
-    """Declare what the noise is like."""
-    command.add_argument(
-        "--noise",
-        choices=NOISE_MODELS,
-        default=Settings.noise,
-        help="white; autoregressive, as intervals need when neighbouring residuals are alike; white with an"
-        " oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the others"
-        " (default %(default)s)",
-    )
-    command.add_argument(
-        "--oscillator",
-        type=numbers,
-        default=Settings.oscillator,
-        metavar="HZ[,S[,RATE]]",
-        help="what is known of that oscillation: frequency, time in which its phase is forgotten, standard"
-        " deviation [rad/s] (default: found from the residuals)",
-    )
 
 
 def numbers(text: str) -> tuple[float, ...]:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.stats import t as student_t
 from tms_model.bicycle import Array
 
-from tms_fit.settings import Settings, shaping
+from tms_fit.parameters import shaping
+from tms_fit.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)

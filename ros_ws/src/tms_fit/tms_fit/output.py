@@ -10,8 +10,9 @@ from tms_fit.diagnostics.output import criticism_json, scrutiny_json, scrutiny_l
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.make_estimate import COLOURED
+from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
-from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.settings import Settings
 from tms_fit.streaming.online import StrikeFit
 from tms_fit.strikes.strike import Strike, StrikeSettings
 
@@ -19,7 +20,7 @@ from tms_fit.strikes.strike import Strike, StrikeSettings
 def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
     """The document promised in docs/conventions.md; SI units and radians, SAE signs.
 
-    asked: what else is wanted of each strike, of tms_fit.diagnostics.output.ASKED.
+    asked: what else is wanted of each strike: hypotheses, budget.
     """
     start_ns = first_stamp(fit.recording)
     stated = stated_noise(fit.recording, fit.settings)
@@ -28,25 +29,7 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
         "bicycle": fit.bicycle.name,
         "start_ns": start_ns,
         "strikes": [_strike(one, fit.settings, asked, stated) for one in fit.strikes],
-        "settings": {
-            "free": list(fit.settings.free) if fit.settings.free else None,
-            "fixed": dict(fit.settings.fixed),
-            "priors": {name: list(prior) for name, prior in fit.settings.priors.items()},
-            "speed_model": fit.settings.speed_model,
-            "resistance": fit.settings.resistance,
-            "channels": list(fit.settings.channels),
-            "noise": fit.settings.noise,
-            "noise_std": fit.settings.noise_std,
-            "oscillator": list(fit.settings.oscillator),
-            "loss": fit.settings.loss,
-            "gyroscope_range": fit.settings.gyroscope_range,
-            "saturation": fit.settings.saturation,
-            "slip_window": fit.settings.slip_window,
-            "slip": fit.settings.slip,
-            "intervals": fit.settings.intervals,
-            "window": fit.settings.window,
-            "steer_torque": fit.settings.steer_torque,
-        },
+        "settings": fit.settings.as_json(),
         "rejected": [
             {"time_ns": one.time_ns, "lean_rate_change": one.change, "why": one.why} for one in fit.rejected
         ],

@@ -1,44 +1,80 @@
-"""What a fit is asked to do."""
+"""Settings of a fit: one table of options for command line, ROS parameters, JSON and reference page.
+
+A new option is one row of `Settings`. The table loads neither numpy nor the bicycle: `--help` needs it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, Literal
 
-from tms_model import ParameterError
-from tms_model.acceleration import RESISTANCES, Resistance
-from tms_model.response import STATE
+from tms_model.errors import ParameterError
+from tms_model.resistance import RESISTANCES, Resistance
 
-from tms_fit.least_squares.losses import LOSSES
+from tms_fit.parameters import CHANNELS, FRICTION, PARAMETERS, check_known
 
-INITIAL = tuple(
-    f"initial_{name}" for name in STATE
-)  # initial_lean, initial_steer, initial_lean_rate, initial_steer_rate
-BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
-CHANNELS = ("lean_rate", "yaw_rate")
-SLIP = "slip_yaw_rate"  # [rad/s] at the start, falling to zero in a straight line over the slip window
-LINEAR = (*INITIAL, *BIASES, SLIP)
-FRICTION = "steer_coulomb_friction"  # [N m] against the turning of the steering, whatever its rate
-NONLINEAR = (
-    "speed",  # [m/s] at the start of the free response
-    "rolling_resistance",  # C_r [-]: the speed falls by C_r g m / m_eff per second
-    "strike_time",  # [s] start of the free response, from the window's first sample on; not positive
-    "lean_rate_gain",  # [N m s/rad] steer torque per lean rate, by a controller
-    "steer_damper",  # [N m s/rad] steer torque against the steer rate, beside the bicycle's own
-    "mounting_pitch",  # [rad] of the sensor, nose up: leaks lean rate into its yaw rate
-    FRICTION,  # with it, the response isn't linear in INITIAL either
-)
-PARAMETERS = (*LINEAR, *NONLINEAR)
-DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
+Kind = Literal["number", "numbers", "choice", "names", "values", "priors"]
 
-STEER_TORQUES = ("auto", "feedback", "input", "ignore")
-SPEED_MODELS = ("auto", "measured", "constant", "decelerating")
-NOISE_MODELS = ("auto", "white", "ar", "oscillator")
-SATURATIONS = ("drop", "censor", "use")
-SLIPS = ("leave_out", "yaw_offset")
-INTERVALS = ("wald", "profile", "bootstrap")
-FILTERS = ("linear", "extended")
+
+@dataclass(frozen=True)
+class Option:
+    """One row of the options table."""
+
+    name: str  # field of Settings, key in JSON
+    kind: Kind  # how its value is written: a number, NAME,NAME, NAME=VALUE, NAME=MEAN,STD, ...
+    default: Any
+    help: str
+    unit: str = ""  # of a number
+    low: float = -math.inf  # least number allowed
+    high: float = math.inf  # largest number allowed
+    positive: bool = False  # whether a number must be larger than zero
+    choices: tuple[str, ...] = ()  # names allowed
+    unset: str = ""  # what holds where the option isn't given and has no default value
+    metavar: str = ""  # on the command line
+    flag: str = ""  # on the command line; empty: not offered there
+    repeated: bool = False  # whether the command line takes one name each time
+    parameter: str = ""  # of the node; empty: not offered there
+
+    @property
+    def text(self) -> str:
+        """Description in one line, with the unit and the choices."""
+        listed = self.choices and self.kind not in ("values", "priors")
+        one_of = f": {', '.join(self.choices)}" if listed else ""
+        return f"{self.help}{one_of}{f' [{self.unit}]' if self.unit else ''}"
+
+    @property
+    def limits(self) -> str:
+        """The range of a number in words, empty where there is none."""
+        if self.positive:
+            return f"a positive number of {self.unit}, at most {self.high:g}"
+        return f"{self.low:g} to {self.high:g} {self.unit}" if math.isfinite(self.high) else ""
+
+    def check(self, value: Any) -> None:
+        """Raise ParameterError for a value out of range or an unknown name."""
+        where = (self.flag or self.parameter).strip("-").replace("-", " ").replace("_", " ")
+        if self.choices:
+            check_known((value,) if self.kind == "choice" else value or (), self.choices, where)
+        if self.kind != "number" or value is None:
+            return
+        if not self.low <= value <= self.high or (self.positive and value <= 0.0):
+            raise ParameterError(f"{where}: expected {self.limits}, found {value:g}")
+
+
+def option(
+    kind: Kind, default: Any, help: str, *, command_line: bool = True, node: bool = True, **row: Any
+) -> Any:
+    """Field of `Settings` with its row of the table: fields of `Option` but for the name.
+
+    `flag` and `parameter` follow from the name, or are empty where the option isn't offered.
+    """
+    metadata = {"kind": kind, "help": help, **row}
+    metadata |= {} if command_line else {"flag": ""}
+    metadata |= {} if node else {"parameter": ""}
+    if isinstance(default, dict):
+        return field(default_factory=dict, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -49,33 +85,136 @@ class Settings:
     numbers out of range.
     """
 
-    free: tuple[str, ...] | None = None  # of PARAMETERS; None: DEFAULT_FREE, no bias of an absent channel
-    fixed: Mapping[str, float] = field(default_factory=dict)  # SI; others are 0, or what was measured
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation, SI
-    window: float = 1.5  # [s], longest free response used
-    gyroscope_noise: float = (
-        0.02  # [rad/s], standard deviation where the recording does not state it (running filter)
+    free: tuple[str, ...] | None = option(
+        "names",
+        None,
+        "parameters to estimate",
+        choices=PARAMETERS,
+        unset="initial_lean_rate, lean_rate_bias, yaw_rate_bias, and what the data asks for",
     )
-    steer_torque: str = "auto"  # how a known steer torque enters, of STEER_TORQUES
-    speed_model: str = "auto"  # how the speed goes on after the strike, of SPEED_MODELS
-    resistance: Resistance = "rolling"  # by what a speed that changes is changed, of RESISTANCES
-    channels: tuple[str, ...] = CHANNELS  # compared with the model
-    noise: str = "auto"  # of NOISE_MODELS; auto: white, unless residuals are alike
-    oscillator: tuple[float, ...] = ()  # its frequency [Hz], decay time [s], deviation [rad/s]: what is known
-    loss: str = "auto"  # how much a residual counts, of LOSSES; auto: squares, unless there are outliers
-    gyroscope_range: float | None = None  # [rad/s], at which a reading is saturated; None: only flags say so
-    saturation: str = "drop"  # what saturated samples are taken for, of SATURATIONS
-    slip_window: float = 0.0  # [s] after the strike, in which the front wheel slips
-    slip: str = "leave_out"  # what is done with that time, of SLIPS
-    intervals: str = "wald"  # how 95 % intervals are found, of INTERVALS
-    noise_std: float | None = None  # [rad/s] of one sample, to compare residuals with; None: as recorded
-    filter: str = "linear"  # that runs along, of FILTERS: the speed is given, or estimated with C_r
-    estimators: tuple[str, ...] = ("least_squares", "kalman_rts")
-
-    @property
-    def fixed_linear(self) -> dict[str, float]:
-        """Those of the fixed parameters that the response is linear in."""
-        return {name: value for name, value in self.fixed.items() if name in LINEAR}
+    fixed: Mapping[str, float] = option(
+        "values",
+        {},
+        "known parameters, SI units, such as speed=3.6",
+        flag="--fix",
+        parameter="fix",
+        choices=PARAMETERS,
+        unset="0, or what was measured",
+    )
+    priors: Mapping[str, tuple[float, float]] = option(
+        "priors",
+        {},
+        "what is known beforehand of a free parameter: mean and standard deviation, SI units",
+        flag="--prior",
+        parameter="prior",
+        choices=PARAMETERS,
+        unset="nothing",
+    )
+    window: float = option("number", 1.5, "longest free response used", unit="s", low=0.3, high=60.0)
+    gyroscope_noise: float = option(
+        "number",
+        0.02,
+        "standard deviation of the gyroscope where the recording does not state it, for the running filter",
+        command_line=False,
+        unit="rad/s",
+        positive=True,
+        high=10.0,
+    )
+    steer_torque: str = option(
+        "choice",
+        "auto",
+        "how a known steer torque enters; auto: feedback where it is proportional to the lean rate, else"
+        " input",
+        choices=("auto", "feedback", "input", "ignore"),
+    )
+    speed_model: str = option(
+        "choice",
+        "auto",
+        "the speed after the strike: as measured, constant, falling by rolling resistance, or auto: as"
+        " measured where the samples show beyond doubt that it changes, else constant",
+        choices=("auto", "measured", "constant", "decelerating"),
+    )
+    resistance: Resistance = option(  # noqa: RUF009  # which is what dataclasses.field is
+        "choice", "rolling", "by what a speed that changes is changed", choices=RESISTANCES
+    )
+    channels: tuple[str, ...] = option("names", CHANNELS, "rates to compare with the model", choices=CHANNELS)
+    noise: str = option(
+        "choice",
+        "auto",
+        "noise model: white; autoregressive, as intervals need when neighbouring residuals are alike; white"
+        " with an oscillation, such as a shimmy; or auto: white, and when they are alike the likelier of the"
+        " others",
+        choices=("auto", "white", "ar", "oscillator"),
+    )
+    oscillator: tuple[float, ...] = option(
+        "numbers",
+        (),
+        "what is known of the noise's oscillation: frequency [Hz], decay time [s], deviation [rad/s]",
+        metavar="HZ[,S[,RATE]]",
+        unset="found from the residuals",
+    )
+    loss: str = option(
+        "choice",
+        "auto",
+        "how much a residual counts: squares; huber and student_t, which outliers don't move; or auto:"
+        " squares, and huber when the residuals hold outliers",
+        choices=("auto", "squares", "huber", "student_t"),
+    )
+    gyroscope_range: float | None = option(
+        "number",
+        None,
+        "rate at which the gyroscopes saturate",
+        unit="rad/s",
+        positive=True,
+        high=1000.0,
+        unset="only where imu/lean_yaw marks a sample",
+    )
+    saturation: str = option(
+        "choice",
+        "drop",
+        "saturated samples are left out, taken as at least that large, or used as they are",
+        choices=("drop", "censor", "use"),
+    )
+    slip_window: float = option(
+        "number", 0.0, "time after the strike in which the front wheel slips", unit="s", low=0.0, high=10.0
+    )
+    slip: str = option(
+        "choice",
+        "leave_out",
+        "leave that time out, or find an offset of the yaw rate that fades over it",
+        choices=("leave_out", "yaw_offset"),
+    )
+    intervals: str = option(
+        "choice",
+        "wald",
+        "95 % intervals by the covariance, by profiles of the squares, or by resampled residuals",
+        choices=("wald", "profile", "bootstrap"),
+    )
+    noise_std: float | None = option(
+        "number",
+        None,
+        "standard deviation of one sample that the residuals are compared with, as reduced chi-square; no"
+        " estimate depends on it",
+        node=False,
+        unit="rad/s",
+        positive=True,
+        unset="what the covariance in the IMU's messages says",
+    )
+    filter: str = option(
+        "choice",
+        "linear",
+        "filter that runs along: the speed is given, or estimated with the rolling resistance",
+        command_line=False,
+        choices=("linear", "extended"),
+    )
+    estimators: tuple[str, ...] = option(
+        "names",
+        ("least_squares", "kalman_rts"),
+        "estimators, in order",
+        flag="--estimator",
+        choices=("least_squares", "kalman_rts", "som2011"),
+        repeated=True,
+    )
 
     @property
     def stated_speed(self) -> float:
@@ -83,51 +222,36 @@ class Settings:
         mean, _ = self.priors.get("speed", (math.nan, math.nan))
         return self.fixed.get("speed", mean)
 
+    def as_json(self) -> dict[str, Any]:
+        """All settings by name, as JSON has them: SI units, lists in place of tuples."""
+        return {name: _plain(getattr(self, name)) for name in OPTIONS}
+
     def __post_init__(self) -> None:
-        check_known(self.free or (), PARAMETERS, "free")
-        check_known(self.fixed, PARAMETERS, "fix")
-        check_known(self.priors, PARAMETERS, "prior")
-        check_known((self.steer_torque,), STEER_TORQUES, "steer torque")
-        check_known((self.speed_model,), SPEED_MODELS, "speed model")
-        check_known((self.resistance,), RESISTANCES, "resistance")
-        check_known(self.channels, CHANNELS, "channels")
-        check_known((self.noise,), NOISE_MODELS, "noise")
-        check_known((self.loss,), LOSSES, "loss")
-        check_known((self.saturation,), SATURATIONS, "saturation")
-        check_known((self.slip,), SLIPS, "slip")
-        check_known((self.intervals,), INTERVALS, "intervals")
-        check_known((self.filter,), FILTERS, "filter")
+        for name, one in OPTIONS.items():
+            one.check(getattr(self, name))
         if not self.channels:
             raise ParameterError(f"channels: expected at least one of {', '.join(CHANNELS)}, found none")
         self._check_free()
-        for name, value in self.fixed.items():
-            if not math.isfinite(value) or (name == "speed" and value <= 0.0):
-                wanted = "a positive number of m/s" if name == "speed" else "a finite number"
-                raise ParameterError(f"{name}: expected {wanted}, found {value:g}")
-        if self.fixed.get(FRICTION, 0.0) < 0.0:
-            raise ParameterError(f"{FRICTION}: expected 0 N m or more, found {self.fixed[FRICTION]:g}")
-        if not 0.3 <= self.window <= 60.0:
-            raise ParameterError(f"window: expected 0.3 to 60 s, found {self.window:g}")
-        if not 0.0 <= self.slip_window < self.window:
+        self._check_fixed()
+        if not self.slip_window < self.window:
             raise ParameterError(
                 f"slip window: expected 0 s to less than the window of {self.window:g} s, found"
                 f" {self.slip_window:g}"
             )
         self._check_saturation()
         self._check_oscillator()
-        if self.noise_std is not None and not (math.isfinite(self.noise_std) and self.noise_std > 0.0):
-            raise ParameterError(f"noise std: expected a positive number of rad/s, found {self.noise_std:g}")
-        if not (math.isfinite(self.gyroscope_noise) and self.gyroscope_noise > 0.0):
-            raise ParameterError(
-                f"gyroscope noise: expected a positive number of rad/s, found {self.gyroscope_noise:g}"
-            )
+
+    def _check_fixed(self) -> None:
+        """A fixed value is finite, a speed positive, a friction not negative."""
+        for name, value in self.fixed.items():
+            if not math.isfinite(value) or (name == "speed" and value <= 0.0):
+                wanted = "a positive number of m/s" if name == "speed" else "a finite number"
+                raise ParameterError(f"{name}: expected {wanted}, found {value:g}")
+        if self.fixed.get(FRICTION, 0.0) < 0.0:
+            raise ParameterError(f"{FRICTION}: expected 0 N m or more, found {self.fixed[FRICTION]:g}")
 
     def _check_saturation(self) -> None:
-        """A range is positive; censoring needs white noise, squares, and intervals by them."""
-        if self.gyroscope_range is not None and not self.gyroscope_range > 0.0:
-            raise ParameterError(
-                f"gyroscope range: expected a positive number of rad/s, found {self.gyroscope_range:g}"
-            )
+        """Censoring needs white noise, squares, and intervals by them."""
         coloured = self.noise not in ("auto", "white")
         if self.saturation == "censor" and (coloured or self.loss not in ("auto", "squares")):
             raise ParameterError(
@@ -140,7 +264,7 @@ class Settings:
             )
 
     def _check_oscillator(self) -> None:
-        """What is known of it: one to three positive numbers, where it may be chosen."""
+        """One to three positive numbers are known of the oscillation, where that noise may be chosen."""
         if not self.oscillator:
             return
         if self.noise not in ("auto", "oscillator"):
@@ -174,16 +298,19 @@ class Settings:
                 raise ParameterError(f"prior: speed: expected a positive mean of m/s, found {mean:g}")
 
 
-def shaping(values: Mapping[str, float], names: Iterable[str] = ()) -> dict[str, float]:
-    """Those of some values that a response isn't linear in, beside others that are given by name only."""
-    rubbing = FRICTION in values or FRICTION in names
-    return {
-        name: value for name, value in values.items() if name in NONLINEAR or (rubbing and name in INITIAL)
-    }
+def _rows() -> dict[str, Option]:
+    """The table, from the fields of Settings."""
+    table = {}
+    for one in fields(Settings):
+        row = {"flag": f"--{one.name.replace('_', '-')}", "parameter": one.name, **one.metadata}
+        table[one.name] = Option(one.name, default={} if one.default is MISSING else one.default, **row)
+    return table
 
 
-def check_known(names: Iterable[str], expected: Iterable[str], what: str) -> None:
-    """Raise ParameterError for a name that is not expected; `what` says where it stands."""
-    for name in names:
-        if name not in expected:
-            raise ParameterError(f"{what}: unknown {name!r}; expected of {', '.join(expected)}")
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+OPTIONS = _rows()  # by name

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from tms_model import Bicycle
-from tms_model.acceleration import Resistance
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
+from tms_model.resistance import Resistance
 
 from tms_fit.least_squares.censoring import saturated
 from tms_fit.settings import Settings

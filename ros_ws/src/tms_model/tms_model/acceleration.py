@@ -26,17 +26,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, get_args
 
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
 from tms_model.catalogue import load_bicycle
+from tms_model.errors import ParameterError
 from tms_model.nonlinear import Load
-from tms_model.parameters import ParameterError, WhippleParameters
-
-Resistance = Literal["rolling", "normal_ahead", "rear_brake", "front_brake"]
-RESISTANCES: tuple[Resistance, ...] = get_args(Resistance)
+from tms_model.parameters import WhippleParameters
+from tms_model.resistance import RESISTANCES, Resistance
 
 # Bicycles known by their matrices only, and whose parameters stand in for the terms above.
 STAND_INS = {"tms_eq_10_1": "tms_unrounded_8_1"}

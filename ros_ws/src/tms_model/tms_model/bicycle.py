@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_model.calibrated import Calibrated
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import WhippleParameters
 from tms_model.steer_elements import SteerElements
 
 Array = NDArray[np.float64]

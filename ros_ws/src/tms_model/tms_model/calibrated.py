@@ -21,8 +21,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from tms_model.errors import ParameterError
 from tms_model.measured import Measured, parse
-from tms_model.parameters import ParameterError
 
 _KEYS = ("standard_deviations", "correlations", "priors", "recordings", "command", "version")
 _OF_RECORDING = ("name", "sha256", "strikes")

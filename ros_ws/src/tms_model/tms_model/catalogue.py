@@ -22,8 +22,9 @@ import numpy as np
 from tms_model.bicycle import Array, Bicycle, assemble
 from tms_model.calibrated import read_calibration
 from tms_model.changes import with_parameters
+from tms_model.errors import ParameterError
 from tms_model.parameter_files import from_yaml, is_of_this_form, read_text_file
-from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, WhippleParameters
 from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 from tms_model.yaml_text import NOT_YAML, load_yaml

@@ -8,7 +8,8 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from tms_model.bicycle import Bicycle, assemble
-from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import PARAMETER_NAMES, WhippleParameters
 from tms_model.physical import check_physical
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 

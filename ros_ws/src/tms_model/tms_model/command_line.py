@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from typing import Any, NamedTuple, NoReturn
 
 
@@ -31,6 +30,8 @@ class Command(NamedTuple):
 
 def offered_commands(group: str) -> dict[str, Command]:
     """Sub-commands that installed packages offer under an entry-point group such as `tms.fit`."""
+    from importlib.metadata import entry_points
+
     return {point.name: point.load() for point in entry_points(group=group)}
 
 

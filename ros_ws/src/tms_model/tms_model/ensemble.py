@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle, whipple_matrices
-from tms_model.parameters import PARAMETER_NAMES, ParameterError
+from tms_model.errors import ParameterError
+from tms_model.parameters import PARAMETER_NAMES
 from tms_model.quartic import quadratic_eigenvalues
 from tms_model.steer_elements import SteerElements
 

@@ -7,7 +7,7 @@ Reference: Kooijman et al. 2011, supplement (SOM), table 8.2 and Eqs. (9.1)-(9.2
 from __future__ import annotations
 
 from tms_model.bicycle import Bicycle
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 MASS_BUDGET_GRAMS: dict[str, dict[str, int]] = {  # table 8.2 [g]
     "wheel set": {"rotating": 174, "counter rotating": 168},

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from tms_model.bicycle import Array
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 _FLIP = np.array([1.0, -1.0, -1.0])
 

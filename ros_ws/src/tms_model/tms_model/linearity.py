@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
+from tms_model.errors import ParameterError
 from tms_model.nonlinear import whipple_parameters
 from tms_model.nonlinear_response import OK, nonlinear_response
-from tms_model.parameters import ParameterError
 from tms_model.response import LEAN, LEAN_RATE, STEER, LinearSystem, linear_system, response, yaw_rate
 
 DEVIATIONS = (0.01, 0.05)

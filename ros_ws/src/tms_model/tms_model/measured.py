@@ -10,7 +10,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 _DIGITS = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _EXPONENT = r"[eE][-+]?\d+"

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 from tms_model.response import state_matrix
 from tms_model.stability import double_roots, eigenvalues
 

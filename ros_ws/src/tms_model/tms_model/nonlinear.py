@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.parameters import MAY_BE_UNKNOWN, ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import MAY_BE_UNKNOWN, WhippleParameters
 from tms_model.rolling import (
     DEPENDENT,
     FREE,

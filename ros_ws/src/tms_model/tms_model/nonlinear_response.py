@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
+from tms_model.errors import ParameterError
 from tms_model.nonlinear import Load, Motion, motion, whipple_parameters
-from tms_model.parameters import ParameterError
 from tms_model.response import LEAN, LEAN_RATE, STATE, STEER_RATE
 from tms_model.rolling import YAW_RATE
 

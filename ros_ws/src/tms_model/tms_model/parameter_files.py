@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from tms_model.bicycle import Bicycle, assemble
+from tms_model.errors import ParameterError
 from tms_model.measured import Measured, parse
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.parameters import WhippleParameters
 from tms_model.principal_form import PRINCIPAL_SYMBOLS, from_principal, unknown_symbols
 
 SYMBOLS: dict[str, str] = {

@@ -10,9 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, fields
 
-
-class ParameterError(ValueError):
-    """A parameter, name or setting that can't be used: text says what was expected, found, and what to do."""
+from tms_model.errors import ParameterError
 
 
 @dataclass(frozen=True)

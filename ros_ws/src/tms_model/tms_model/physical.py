@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import WhippleParameters
 
 FRAMES = ("rear_frame", "front_frame")
 ROUNDING = 1e-9  # share of the inertias that printing and parallel axes may have taken

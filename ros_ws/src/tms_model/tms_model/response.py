@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
+from tms_model.errors import ParameterError
 from tms_model.exponential import expm
-from tms_model.parameters import ParameterError
 
 FASTEST = 1000.0  # [m/s]; far beyond it powers of speed overflow
 STATE = ("lean", "steer", "lean_rate", "steer_rate")  # [rad, rad, rad/s, rad/s]

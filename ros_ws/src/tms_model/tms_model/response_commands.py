@@ -4,51 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from tms_model.acceleration import RESISTANCES, parameters_under_acceleration, resistance_load
+from tms_model.acceleration import parameters_under_acceleration, resistance_load
 from tms_model.bicycle import Array, Bicycle
 from tms_model.command_line import print_json
+from tms_model.errors import ParameterError
 from tms_model.linearity import DEVIATIONS, linearity
 from tms_model.nonlinear import whipple_parameters
 from tms_model.nonlinear_response import NONLINEAR_STATE, OK, SPEED, nonlinear_response
-from tms_model.parameters import ParameterError
 from tms_model.response import LEAN_RATE, STATE, linear_system, response, yaw_rate
 from tms_model.varying_speed import varying_response, varying_system, varying_yaw_rate
-
-
-def add_arguments(subparsers: Mapping[str, argparse.ArgumentParser]) -> None:
-    """Declare what `response` and `linearity` take besides the bicycle, --speed and --json."""
-    one = subparsers["response"]
-    one.add_argument("--lean-rate", type=float, required=True, help="initial lean rate [rad/s]")
-    one.add_argument("--duration", type=float, default=4.0, help="[s] (default 4)")
-    one.add_argument("--step", type=float, default=0.01, help="[s] (default 0.01)")
-    one.add_argument(
-        "--gain", type=float, default=0.0, help="steer torque per lean rate [N m s/rad] (default 0)"
-    )
-    one.add_argument("--nonlinear", action="store_true", help="by the nonlinear equations of motion")
-    one.add_argument(
-        "--deceleration", type=float, default=0.0, help="loss of speed [m/s^2] (default 0: constant speed)"
-    )
-    one.add_argument(
-        "--resistance",
-        choices=RESISTANCES,
-        default="rolling",
-        help="what slows it down: the ground, by a moment about each axle (rolling, the default) or by normal"
-        " forces ahead of the contacts, or the brake of one wheel",
-    )
-    far = subparsers["linearity"]
-    far.add_argument("--duration", type=float, default=2.0, help="of the compared responses [s] (default 2)")
-    far.add_argument(
-        "--deviation",
-        type=float,
-        action="append",
-        help="from the linear prediction, as a fraction; may be repeated (default 0.01 and 0.05)",
-    )
 
 
 def respond(bicycle: Bicycle, arguments: argparse.Namespace) -> None:

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.bicycle import Array
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import WhippleParameters
 
 SPEEDS = ("lean_rate", "steer_rate", "speed", "yaw_rate", "pitch_rate")  # [rad/s], speed [m/s]
 LEAN_RATE, STEER_RATE, SPEED, YAW_RATE, PITCH_RATE = range(5)

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.acceleration import (
-    Resistance,
     acceleration_stiffness,
     normal_forces,
     parameters_under_acceleration,
@@ -30,6 +29,7 @@ from tms_model.acceleration import (
 )
 from tms_model.bicycle import Array, Bicycle
 from tms_model.parameters import WhippleParameters
+from tms_model.resistance import Resistance
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -12,26 +11,13 @@ import numpy as np
 
 from tms_model.bicycle import Bicycle
 from tms_model.command_line import print_json
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 from tms_model.response import FASTEST
 from tms_model.stability import eigenvalues, stability
 from tms_model.uncertainty import Uncertain, eigenvalue_uncertainty, stability_uncertainty
 
 MOST_SAMPLES = 1_000_000
 SHOWN = 5  # parameters that contribute most
-
-
-def add_arguments(subparsers: Mapping[str, argparse.ArgumentParser]) -> None:
-    """Declare what `stability` and `eigenvalues` take besides the bicycle, --speed and --json."""
-    for name in ("stability", "eigenvalues"):
-        one = subparsers[name]
-        one.add_argument(
-            "--uncertainty", action="store_true", help="what the parameters' standard deviations make of it"
-        )
-        one.add_argument(
-            "--samples", type=int, default=10_000, help="for the Monte Carlo method, or 0 (default 10000)"
-        )
-        one.add_argument("--seed", type=int, default=0, help="of the Monte Carlo method (default 0)")
 
 
 def print_stability(bicycle: Bicycle, arguments: argparse.Namespace) -> None:

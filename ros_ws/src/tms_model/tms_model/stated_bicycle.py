@@ -10,7 +10,8 @@ import numpy as np
 
 from tms_model.bicycle import Bicycle, assemble
 from tms_model.catalogue import LARGEST_NUMBER
-from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES, WhippleParameters
 from tms_model.steer_elements import STEER_ELEMENT_NAMES, SteerElements
 
 _GEOMETRY = ("wheelbase", "trail", "steer_axis_tilt", "gravity")

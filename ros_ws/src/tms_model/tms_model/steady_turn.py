@@ -14,7 +14,8 @@ from scipy.optimize import brentq
 
 from tms_model.bicycle import Bicycle
 from tms_model.characteristic import routh
-from tms_model.parameters import ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import WhippleParameters
 
 STEEPEST = math.radians(89.0)  # tilts that are searched
 

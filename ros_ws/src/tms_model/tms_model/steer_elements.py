@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 
 @dataclass(frozen=True)

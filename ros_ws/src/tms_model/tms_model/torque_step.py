@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 from tms_model.response import LEAN, STEER, linear_system, response, with_heading, yaw_rate
 
 FIGURE_5_1_SPEED = 5.0  # [m/s]

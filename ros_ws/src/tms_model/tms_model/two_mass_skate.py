@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.parameters import PARAMETER_NAMES, ParameterError, WhippleParameters
+from tms_model.errors import ParameterError
+from tms_model.parameters import PARAMETER_NAMES, WhippleParameters
 
 Mask = NDArray[np.bool_]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tms_model.bicycle import Array, Bicycle
 from tms_model.ensemble import Ensemble, ensemble, ensemble_eigenvalues, ensemble_stability
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 Complex = NDArray[np.complex128]
 STEP = 1e-3  # of the central differences, in standard deviations

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tms_model.acceleration import Resistance, acceleration_stiffness, parameters_under_acceleration
+from tms_model.acceleration import acceleration_stiffness, parameters_under_acceleration
 from tms_model.bicycle import Array, Bicycle
+from tms_model.errors import ParameterError
 from tms_model.exponential import expm
-from tms_model.parameters import ParameterError
+from tms_model.resistance import Resistance
 from tms_model.response import first_order, torque_column, yaw_row
 
 MAX_STEP = 0.005  # [s]

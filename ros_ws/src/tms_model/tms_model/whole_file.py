@@ -6,7 +6,7 @@ import contextlib
 import os
 from pathlib import Path
 
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from tms_bag import RecordingError
-from tms_fit.settings import PARAMETERS, check_known
+from tms_fit.parameters import PARAMETERS, check_known
 from tms_model import ParameterError
 from tms_model.command_line import Parser, print_json, run, seed
 from tms_sim.scenario import load_scenario, parse_change

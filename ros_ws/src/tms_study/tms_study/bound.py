@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 from tms_fit.diagnostics.hypothesis_tests import SLIP as SLIP_WINDOW
+from tms_fit.parameters import CHANNELS, FRICTION, INITIAL, LINEAR, shaping
 from tms_fit.response.prediction import derivative, predictor
-from tms_fit.settings import CHANNELS, FRICTION, INITIAL, LINEAR, Settings, shaping
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import SpeedProfile, constant_speed
 from tms_fit.window import Window
 from tms_model import ParameterError, load_bicycle

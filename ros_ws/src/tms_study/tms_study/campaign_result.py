@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
-from tms_fit.settings import DEFAULT_FREE
+from tms_fit.parameters import DEFAULT_FREE
 
 from tms_study import __version__
 from tms_study.bound import bound, planned

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from tms_fit.parameters import shaping
 from tms_fit.response.prediction import predictor
-from tms_fit.settings import shaping
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 from tms_model import load_bicycle

@@ -15,9 +15,10 @@ from tms_fit.diagnostics.hypothesis_tests import impulse_ratio, run_hypothesis_t
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.kalman.batch import filter_batch, smooth_start
 from tms_fit.kalman.state_space import bicycle_space
+from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import feed, orientation_of
 from tms_fit.response.prediction import predictor
-from tms_fit.settings import DEFAULT_FREE, Settings
+from tms_fit.settings import Settings
 from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle

@@ -15,8 +15,6 @@ from tms_fit.settings import Settings
 from tms_fit.streaming.online import StrikeFit
 from tms_fit.window import Window
 
-ASKED = ("hypotheses", "budget")
-
 
 def scrutiny_json(fit: StrikeFit, settings: Settings, asked: Collection[str]) -> dict[str, Any]:
     """What makes the first estimate doubtful, and what is asked, by name; null: nothing to say."""

@@ -21,7 +21,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.diagnostics.stated_noise import StatedNoise
 from tms_fit.estimate import Estimate
-from tms_fit.settings import CHANNELS
+from tms_fit.parameters import CHANNELS
 from tms_fit.window import Window
 
 LAGS = 10  # of the Ljung-Box test, at most a fifth of the samples

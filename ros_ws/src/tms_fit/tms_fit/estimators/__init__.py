@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import kalman_rts, least_squares, som2011
-from tms_fit.settings import Settings, check_known
+from tms_fit.parameters import check_known
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 Estimator = Callable[[Window, Settings], Estimate]

@@ -28,8 +28,9 @@ from tms_fit.estimators.least_squares import decide, fit_model
 from tms_fit.least_squares.make_estimate import in_order, variance_accounted_for
 from tms_fit.least_squares.model_selection import choose
 from tms_fit.least_squares.varpro import Problem
+from tms_fit.parameters import BIASES, FRICTION, INITIAL, NONLINEAR, SLIP
 from tms_fit.response.discretization import Transitions, discretize
-from tms_fit.settings import BIASES, FRICTION, INITIAL, NONLINEAR, SLIP, Settings
+from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 PRIOR = 10.0  # prior standard deviation of a free parameter, per standard error that the data give

@@ -7,7 +7,8 @@ from dataclasses import replace
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_model
 from tms_fit.least_squares.model_selection import choose
-from tms_fit.settings import LINEAR, Settings
+from tms_fit.parameters import LINEAR
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 

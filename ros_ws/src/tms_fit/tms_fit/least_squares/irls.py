@@ -16,8 +16,8 @@ from tms_fit.noise import NOISES, Noise, oscillator
 from tms_fit.noise.ar import is_autocorrelated
 from tms_fit.noise.colored import ColoredNoise
 from tms_fit.noise.white import White
+from tms_fit.parameters import shaping
 from tms_fit.response.prediction import derivative
-from tms_fit.settings import shaping
 from tms_fit.window import Window
 
 ROUNDS = 60  # at most

@@ -16,8 +16,9 @@ from tms_fit.least_squares.nuisance import nuisance_covariance
 from tms_fit.least_squares.varpro import Problem, Solution
 from tms_fit.noise import Noise
 from tms_fit.noise.white import White
+from tms_fit.parameters import CHANNELS, shaping
 from tms_fit.response.discretization import known_values, speeds_at
-from tms_fit.settings import CHANNELS, Settings, shaping
+from tms_fit.settings import Settings
 from tms_fit.window import Window, without_saturated
 
 LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns

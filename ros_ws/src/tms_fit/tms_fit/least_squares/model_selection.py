@@ -10,7 +10,8 @@ from tms_model.acceleration import coasting_loss
 
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.varpro import Problem
-from tms_fit.settings import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP, Settings
+from tms_fit.parameters import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP
+from tms_fit.settings import Settings
 from tms_fit.speed_profile import FORGOTTEN, constant_speed
 from tms_fit.window import Window, with_channels, without_saturated
 

@@ -15,8 +15,8 @@ import numpy as np
 from tms_model.bicycle import Array
 
 from tms_fit.least_squares.varpro import Problem, Rows, Solution
+from tms_fit.parameters import shaping
 from tms_fit.response.prediction import Predictor, derivative, predictor
-from tms_fit.settings import shaping
 from tms_fit.window import Window
 
 CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]

@@ -19,9 +19,9 @@ from tms_model import ParameterError
 from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
+from tms_fit.parameters import FRICTION, LINEAR, shaping
 from tms_fit.response.discretization import known_values
 from tms_fit.response.prediction import Predictor, derivative, predictor
-from tms_fit.settings import FRICTION, LINEAR, shaping
 from tms_fit.window import Window
 
 Rows = Callable[[Array], Array]  # values of both channels (n, 2, ...) -> rows (m, ...) of unit variance

@@ -1,94 +1,57 @@
-"""The settings of a fit as parameters of a node."""
+"""Settings of a fit as parameters of a node, by the options table."""
 
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any
 
 from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
-from tms_model import ParameterError
+from tms_model.errors import ParameterError
 
 from tms_fit.arguments import assignment, each_once, prior
-from tms_fit.least_squares.losses import LOSSES
-from tms_fit.settings import (
-    FILTERS,
-    INTERVALS,
-    NOISE_MODELS,
-    PARAMETERS,
-    SATURATIONS,
-    SLIPS,
-    SPEED_MODELS,
-    STEER_TORQUES,
-    Settings,
-)
+from tms_fit.settings import OPTIONS, Option, Settings
 
-Value = TypeVar("Value")
-
-CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "filter": ("filter that runs along; extended estimates speed and rolling resistance", FILTERS),
-    "intervals": ("how 95 % intervals are found", INTERVALS),
-    "loss": ("how much a residual counts", tuple(LOSSES)),
-    "noise": ("noise model", NOISE_MODELS),
-    "saturation": ("what saturated samples are taken for", SATURATIONS),
-    "slip": ("what is done with the slip window", SLIPS),
-    "speed_model": ("the speed after a strike", SPEED_MODELS),
-    "steer_torque": ("how a known torque enters", STEER_TORQUES),
-}
-
-NUMBERS: dict[str, tuple[str, float, float]] = {  # what it is, least and largest
-    "window": ("longest free response used [s]", 0.3, 60.0),
-    "gyroscope_noise": ("noise where no message states it [rad/s]", 1e-9, 10.0),
-    "slip_window": ("time after a strike in which the front wheel slips [s]", 0.0, 10.0),
-}
+TINY = 1e-9  # least value of a number that must be positive
 
 
 def declare_fit_settings(node: Node) -> Settings:
     """Declare and read them. Raises ParameterError."""
-    free = declare(
-        node, "free", [""], f"parameters to estimate, of {', '.join(PARAMETERS)}; empty: the default"
-    )
-    fixed = declare(node, "fix", [""], "known parameters as NAME=VALUE, SI units, such as speed=3.6")
-    priors = declare(
-        node, "prior", [""], "free parameters of which something is known, as NAME=MEAN,STD, SI units"
-    )
-    oscillator = declare(
-        node,
-        "oscillator",
-        [0.0],
-        "known of an oscillation in the noise: frequency [Hz], decay time [s], deviation [rad/s]; 0: nothing",
-    )
     return Settings(
-        free=tuple(name for name in free if name) or None,
-        fixed=each_once(_read("fix", assignment, fixed), "parameter fix"),
-        priors=each_once(_read("prior", prior, priors), "parameter prior"),
-        oscillator=tuple(value for value in oscillator if value),
-        gyroscope_range=declare(
-            node,
-            "gyroscope_range",
-            0.0,
-            "at which a reading is saturated, and left out; 0: only where imu/lean_yaw says so [rad/s]",
-            0.0,
-            1000.0,
-        )
-        or None,
-        estimators=tuple(declare(node, "estimators", list(Settings.estimators), "estimators, in order")),
-        **{
-            name: declare(node, name, getattr(Settings, name), what, low, high)
-            for name, (what, low, high) in NUMBERS.items()
-        },
-        **{
-            name: declare(node, name, getattr(Settings, name), f"{what}: {', '.join(choices)}")
-            for name, (what, choices) in CHOICES.items()
-        },
+        **{name: _read(one, _declare(node, one)) for name, one in OPTIONS.items() if one.parameter}
     )
 
 
-def _read(
-    name: str, read: Callable[[str], tuple[str, Value]], texts: Sequence[str]
-) -> list[tuple[str, Value]]:
+def _declare(node: Node, one: Option) -> Any:
+    """Value of a parameter; an empty list has no type for ROS, an empty text or 0 in it stands for none."""
+    if one.kind == "number":
+        low = TINY if one.positive and one.default is not None else max(one.low, 0.0)
+        return declare(node, one.parameter, one.default or 0.0, _description(one, "0"), low, one.high)
+    if one.kind == "numbers":
+        return declare(node, one.parameter, [0.0], _description(one, "0"))
+    if one.kind == "choice":
+        return declare(node, one.parameter, one.default, one.text)
+    written = {"values": ", as NAME=VALUE", "priors": ", as NAME=MEAN,STD"}.get(one.kind, "")
+    return declare(node, one.parameter, list(one.default or [""]), _description(one, "empty", written))
+
+
+def _description(one: Option, nothing: str, written: str = "") -> str:
+    return f"{one.text}{written}{f'; {nothing}: {one.unset}' if one.unset else ''}"
+
+
+def _read(one: Option, value: Any) -> Any:
+    """A setting from the value of its parameter. Raises ParameterError."""
+    if one.kind == "number":
+        return value or one.default
+    if one.kind == "choice":
+        return value
+    given = [item for item in value if item]
+    if one.kind in ("names", "numbers"):
+        return tuple(given) or one.default
+    where = f"parameter {one.parameter}"
+    read: Callable[[str], tuple[str, Any]] = assignment if one.kind == "values" else prior
     try:
-        return [read(text) for text in texts if text]
+        return each_once([read(text) for text in given], where)
     except ArgumentTypeError as error:
-        raise ParameterError(f"parameter {name}: {error}") from error
+        raise ParameterError(f"{where}: {error}") from error

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 from tms_fit.noise.posterior import ChannelNoise, Family, posterior
-from tms_fit.settings import CHANNELS
+from tms_fit.parameters import CHANNELS
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from tms_model import Bicycle, Stability, follow_modes
 from tms_model.bicycle import Array
 
 from tms_fit.comparison import BEFORE, Comparison
+from tms_fit.parameters import CHANNELS
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import Columns
-from tms_fit.settings import CHANNELS
 
 SLIDING = 1e-6  # [m/s] lateral speed of a contact from which on it is said to slip
 HIGHEST_SPEED = 10.0  # [m/s] of the eigenvalues' axis, or more when the run was faster

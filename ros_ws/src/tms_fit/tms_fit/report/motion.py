@@ -10,8 +10,8 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN, STEER
 
 from tms_fit.comparison import Comparison
+from tms_fit.parameters import INITIAL
 from tms_fit.response.discretization import discretize
-from tms_fit.settings import INITIAL
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tms_fit.comparison import first_good
+from tms_fit.parameters import CHANNELS
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.chart import Columns
 from tms_fit.report.charts.overview import overview_chart
@@ -10,7 +11,6 @@ from tms_fit.report.datasets import column
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
 from tms_fit.report.section import Section
-from tms_fit.settings import CHANNELS
 from tms_fit.strikes.strike import StrikeSettings
 
 NAME = "initial_lean_rate"

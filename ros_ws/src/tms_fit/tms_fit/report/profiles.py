@@ -6,11 +6,12 @@ import numpy as np
 
 from tms_fit.comparison import Comparison
 from tms_fit.least_squares.intervals import profile
+from tms_fit.parameters import NONLINEAR
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.profile import profile_chart
 from tms_fit.report.datasets import column
 from tms_fit.report.parameters import unit_of, words_of
-from tms_fit.settings import NONLINEAR, Settings
+from tms_fit.settings import Settings
 
 
 def profile_charts(both: Comparison, settings: Settings) -> tuple[tuple[Chart, ...], dict[str, Columns]]:

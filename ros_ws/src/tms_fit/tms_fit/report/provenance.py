@@ -15,9 +15,9 @@ import vl_convert
 from tms_model import Bicycle
 
 from tms_fit import __version__
+from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.rounding import significant
-from tms_fit.settings import DEFAULT_FREE
 
 
 def provenance(fit: RecordingFit) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ from tms_fit.diagnostics.error_budget import error_budget
 from tms_fit.diagnostics.hypothesis_tests import run_hypothesis_tests
 from tms_fit.diagnostics.residual_tests import diagnose_residuals
 from tms_fit.diagnostics.stated_noise import stated_noise
+from tms_fit.parameters import CHANNELS
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report import datasets
 from tms_fit.report.animation import animation
@@ -35,7 +36,6 @@ from tms_fit.report.sentence import sentence
 from tms_fit.report.truth import truth_table
 from tms_fit.report.whiteness import autocorrelation, spectrum
 from tms_fit.response.discretization import as_ridden, discretize
-from tms_fit.settings import CHANNELS
 from tms_fit.strike_fit import StrikeFit
 
 

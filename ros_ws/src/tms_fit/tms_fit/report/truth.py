@@ -11,9 +11,9 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
 from tms_fit.comparison import Comparison
+from tms_fit.parameters import BIASES, CHANNELS
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import decimals, fixed, number
-from tms_fit.settings import BIASES, CHANNELS
 
 
 def true_events(recording: Recording) -> list[Event]:

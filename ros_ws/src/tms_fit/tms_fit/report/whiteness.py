@@ -12,9 +12,9 @@ import numpy as np
 from scipy.signal import lombscargle
 from tms_model.bicycle import Array
 
+from tms_fit.parameters import CHANNELS
 from tms_fit.report.chart import Columns
 from tms_fit.report.datasets import column
-from tms_fit.settings import CHANNELS
 
 LONGEST_LAG = 0.5  # [s]
 LEAST = 20  # residuals of a channel that make a spectrum

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from tms_model import Bicycle
-from tms_model.acceleration import Resistance
 from tms_model.bicycle import Array
+from tms_model.resistance import Resistance
 from tms_model.varying_speed import transitions_from
 
 TERMS = 20

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from tms_fit.parameters import FRICTION, INITIAL
 from tms_fit.response.discretization import Transitions, as_ridden, discretize, known_values
-from tms_fit.settings import FRICTION, INITIAL
 from tms_fit.window import Window
 from tms_model import Bicycle
 from tms_model.bicycle import Array

@@ -13,9 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 from tms_fit.estimate import Estimate
+from tms_fit.parameters import BIASES, FRICTION, INITIAL, LINEAR, SLIP
 from tms_fit.response.discretization import Transitions, discretize, known_values
 from tms_fit.response.friction import friction_response
-from tms_fit.settings import BIASES, FRICTION, INITIAL, LINEAR, SLIP
 from tms_fit.window import Window
 from tms_model import ParameterError
 from tms_model.bicycle import Array

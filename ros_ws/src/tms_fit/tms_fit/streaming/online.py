@@ -17,7 +17,8 @@ from tms_fit.estimators import check_names
 from tms_fit.kalman.extended_filter import ExtendedFilter, InitialState, ProcessNoise
 from tms_fit.kalman.running_filter import FilterStep, RunningFilter
 from tms_fit.least_squares.varpro import Problem, solve
-from tms_fit.settings import INITIAL, Settings
+from tms_fit.parameters import INITIAL
+from tms_fit.settings import Settings
 from tms_fit.streaming.gyroscopes import Gyroscopes, Vector
 from tms_fit.streaming.synchronizer import PATIENCE, Sample, SampleSynchronizer
 from tms_fit.strike_fit import Segment, StrikeFit, fit_strike, stretch_of, window_of

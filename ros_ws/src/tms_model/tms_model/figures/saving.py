@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 from tms_model.whole_file import write_whole
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tms_model.bicycle import Bicycle
-from tms_model.parameters import ParameterError
+from tms_model.errors import ParameterError
 from tms_model.stability import stability
 from tms_model.steady_turn import steady_turn
 from tms_model.torque_step import FIGURE_5_1_LEAN, FIGURE_5_1_SPEED, TorqueStep, torque_step
