@@ -8,8 +8,10 @@ import json
 import re
 import subprocess
 import sys
+import types
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Callable, Collection
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -63,16 +65,30 @@ def module_of(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
-def imported(path: Path) -> Iterator[str]:
+@cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's syntax tree."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
+def imported(path: Path) -> tuple[str, ...]:
     """Full names of all modules that a file imports, at its top or inside a function."""
     own = path.relative_to(SOURCES / package_of(path)).with_suffix("").parts
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    names: list[str] = []
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level:
-            yield ".".join((*own[: len(own) - node.level], *(node.module or "").split(".")))
+            names.append(".".join((*own[: len(own) - node.level], *(node.module or "").split("."))))
         elif isinstance(node, ast.ImportFrom):
-            yield node.module or ""
+            names.append(node.module or "")
+    return tuple(names)
+
+
+def offenders(offences: Callable[[Path], Collection[str]]) -> dict[str, Collection[str]]:
+    """What each module does against a rule, by module; empty where all keep it."""
+    return {name_of(path): found for path in MODULES if (found := offences(path))}
 
 
 def is_ros(module: str) -> bool:
@@ -88,16 +104,19 @@ def test_there_is_something_to_look_at() -> None:
     assert folders == {*PACKAGES, "tms_msgs"}  # a new package: say above what it may import
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_imports_point_one_way(path: Path) -> None:
-    ours = {module.partition(".")[0] for module in imported(path)} & set(PACKAGES)
-    assert ours - {package_of(path)} <= MAY_IMPORT[package_of(path)]
+def test_imports_point_one_way() -> None:
+    def forbidden(path: Path) -> set[str]:
+        ours = {module.partition(".")[0] for module in imported(path)} & set(PACKAGES)
+        return ours - {package_of(path)} - MAY_IMPORT[package_of(path)]
+
+    assert offenders(forbidden) == {}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_only_nodes_know_ros(path: Path) -> None:
-    if "nodes" not in path.parts:
-        assert [module for module in imported(path) if is_ros(module) or ".nodes" in module] == []
+def test_only_nodes_know_ros() -> None:
+    def ros(path: Path) -> list[str]:
+        return [m for m in imported(path) if "nodes" not in path.parts and (is_ros(m) or ".nodes" in m)]
+
+    assert offenders(ros) == {}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -121,42 +140,87 @@ def test_everything_but_the_nodes_works_without_ros(package: str) -> None:
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_no_module_is_a_drawer(path: Path) -> None:
+def test_no_module_is_a_drawer() -> None:
     # A name says what a module is about.
-    for part in path.relative_to(SOURCES).with_suffix("").parts:
-        assert not re.fullmatch(r"(utils?|common|core|helpers?|misc|tools?)", part)
+    drawer = re.compile(r"(utils?|common|core|helpers?|misc|tools?)")
+    assert (
+        offenders(
+            lambda path: [p for p in path.relative_to(SOURCES).with_suffix("").parts if drawer.fullmatch(p)]
+        )
+        == {}
+    )
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_nothing_that_is_read_can_run(path: Path) -> None:
-    assert not {"pickle", "cPickle", "marshal", "shelve", "dill"} & {
-        m.partition(".")[0] for m in imported(path)
-    }
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if not isinstance(node, ast.Call):
-            continue
-        called = ast.unparse(node.func)
-        assert called not in ("eval", "exec", "compile", "os.system", "os.popen", "__import__"), called
-        assert called not in ("yaml.unsafe_load", "yaml.full_load", "yaml.load_all"), called
-        if called == "yaml.load":
-            (loader,) = (ast.unparse(keyword.value) for keyword in node.keywords if keyword.arg == "Loader")
-            found = getattr(importlib.import_module(module_of(path)), loader)
-            assert issubclass(found, yaml.constructor.SafeConstructor)
-            assert not issubclass(found, yaml.constructor.FullConstructor)
-        if called in ("np.load", "numpy.load"):
-            assert not any(keyword.arg == "allow_pickle" for keyword in node.keywords)
-        shell = [keyword.value for keyword in node.keywords if keyword.arg == "shell"]
-        assert all(isinstance(value, ast.Constant) and value.value is False for value in shell), called
+def dangers(path: Path) -> list[str]:
+    """Calls and imports by which something that is read could run."""
+    unsafe = {"pickle", "cPickle", "marshal", "shelve", "dill"}
+    found = [module for module in imported(path) if module.partition(".")[0] in unsafe]
+    for call in (node for node in nodes_of(path) if isinstance(node, ast.Call)):
+        called = ast.unparse(call.func)
+        values = {keyword.arg: keyword.value for keyword in call.keywords}
+        shell = values.get("shell", ast.Constant(False))
+        if (
+            called in ("eval", "exec", "compile", "os.system", "os.popen", "__import__")
+            or called in ("yaml.unsafe_load", "yaml.full_load", "yaml.load_all")
+            or (called == "yaml.load" and not is_safe(path, ast.unparse(values["Loader"])))
+            or (called in ("np.load", "numpy.load") and "allow_pickle" in values)
+            or not (isinstance(shell, ast.Constant) and shell.value is False)
+        ):
+            found.append(ast.unparse(call))
+    return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_randomness_is_an_argument(path: Path) -> None:
-    # Same seed, same bytes: nobody draws from a generator of the whole process, or seeds one behind one's
-    # back.
-    assert "random" not in set(imported(path))
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"np\.random\.(?!Generator|default_rng\([^)])", text)
+def is_safe(path: Path, loader: str) -> bool:
+    """Whether a module's loader of YAML makes plain values only."""
+    found = getattr(importlib.import_module(module_of(path)), loader)
+    return issubclass(found, yaml.constructor.SafeConstructor) and not issubclass(
+        found, yaml.constructor.FullConstructor
+    )
+
+
+def test_nothing_that_is_read_can_run() -> None:
+    assert offenders(dangers) == {}
+
+
+def test_randomness_is_an_argument() -> None:
+    # Same seed, same bytes: no module draws from a generator of the whole process, or seeds one of its own.
+    def hidden(path: Path) -> list[str]:
+        of_the_process = re.findall(
+            r"np\.random\.(?!Generator|default_rng\([^)])\w*", path.read_text(encoding="utf-8")
+        )
+        return [*({"random"} & set(imported(path))), *of_the_process]
+
+    assert offenders(hidden) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("from tms_sim.run import simulate", test_imports_point_one_way),
+        ("from tms_bag.nodes import recorder", test_only_nodes_know_ros),
+        ("def f():\n    import rclpy", test_only_nodes_know_ros),
+        ("import pickle", test_nothing_that_is_read_can_run),
+        ("eval('1')", test_nothing_that_is_read_can_run),
+        ("np.load(path, allow_pickle=True)", test_nothing_that_is_read_can_run),
+        ("subprocess.run(line, shell=True)", test_nothing_that_is_read_can_run),
+        ("yaml.load(text, Loader=Loader)", test_nothing_that_is_read_can_run),
+        ("import random", test_randomness_is_an_argument),
+        ("np.random.normal()", test_randomness_is_an_argument),
+        ("np.random.default_rng()", test_randomness_is_an_argument),
+    ],
+)
+def test_the_rules_find_what_breaks_them(
+    text: str, rule: Callable[[], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    module = tmp_path / "tms_fit" / "tms_fit" / "offending.py"
+    module.parent.mkdir(parents=True)
+    module.write_text(text)
+    monkeypatch.setitem(globals(), "SOURCES", tmp_path)
+    monkeypatch.setitem(globals(), "MODULES", [module])
+    loaded = types.SimpleNamespace(Loader=yaml.FullLoader)
+    monkeypatch.setitem(sys.modules, "tms_fit.offending", loaded)
+    with pytest.raises(AssertionError, match=r"offending\.py"):
+        rule()
 
 
 def tree(package: str) -> ElementTree.Element:
