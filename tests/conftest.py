@@ -1,4 +1,4 @@
-"""What tests of several packages share."""
+"""Options of the test suite, and fixtures shared by several packages."""
 
 from __future__ import annotations
 
@@ -8,8 +8,56 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
+
+LEFT_OUT = pytest.StashKey[int]()  # number of long tests that were not selected
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--thorough`."""
+    parser.addoption("--thorough", action="store_true", help="run the tests marked 'long' as well")
+
+
+def place(item: pytest.Item) -> int:
+    """Place of a test in the order of all."""
+    return 0 if item.get_closest_marker("measures") else 2 if item.get_closest_marker("long") else 1
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect long tests, unless `--thorough` or a marker expression (`-m`) decides about them.
+
+    Tests that measure come first: one worker runs them, one after the other, since idle workers steal from
+    the end. Long ones come last.
+    """
+    items.sort(key=place)
+    if config.option.thorough or "long" in config.option.markexpr:
+        return
+    left_out = [item for item in items if item.get_closest_marker("long")]
+    config.stash[LEFT_OUT] = len(left_out)
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Hand the number of tests left out from a worker to the process that reports."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take the number of tests left out from a worker; each collects all tests."""
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", 0)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print how many long tests were left out."""
+    if left_out := config.stash.get(LEFT_OUT, 0):
+        terminalreporter.write_line(f"long tests left out: {left_out} (--thorough runs them as well)")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,4 @@
-"""Nodes under trouble: what dies and returns, what jumps, what comes too often, and signals at every stage.
-
-Longer (kills the recorder 200 times, soaks the estimator with an hour of samples): TMS_LONG=1 ./tms test
-tests/ros/test_trouble.py
-"""
+"""Nodes under trouble: deaths and returns, jumps of time, storms of requests, and signals at every stage."""
 
 from __future__ import annotations
 
@@ -36,7 +32,6 @@ from tms_msgs.msg import Handled
 from tms_sim.run import simulate
 from tms_sim.scenario import load_scenario
 
-LONG = os.environ.get("TMS_LONG") == "1"
 GREETING = 2**32 - 1
 PRESSURE = Path("/proc/pressure/cpu")
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -295,11 +290,12 @@ def waited() -> int:
     return 1000 * int(some.rpartition("total=")[2])
 
 
+@pytest.mark.parametrize("times", [8, pytest.param(200, marks=pytest.mark.long)])
 def test_killed_at_random_moments_nothing_that_was_in_the_bag_is_missing(
-    nodes: Any, participant: Any, tmp_path: Path
+    nodes: Any, participant: Any, tmp_path: Path, times: int
 ) -> None:
     rng = random.Random(7)
-    for number in range(200 if LONG else 8):
+    for number in range(times):
         counting = Counting(nodes, participant, tmp_path / f"bag{number}", f"/n{number}")
         counting.go_on(rng.uniform(0.0, 3.0))
         safe = len(counting.recorded())
@@ -362,11 +358,13 @@ def disk(tmp_path: Path) -> Iterator[Disk]:
     disk.unmount(check=False)
 
 
+@pytest.mark.measures
+@pytest.mark.parametrize("times", [3, pytest.param(50, marks=pytest.mark.long)])
 def test_without_power_at_random_moments_at_most_the_last_second_is_missing(
-    nodes: Any, participant: Any, disk: Disk
+    nodes: Any, participant: Any, disk: Disk, times: int
 ) -> None:
     rng = random.Random(8)
-    for number in range(50 if LONG else 3):
+    for number in range(times):
         stop = threading.Event()
         with ThreadPoolExecutor() as pool:
             slowest = pool.submit(disk.slowest_sync, stop)
@@ -447,13 +445,14 @@ def test_a_consumer_that_is_held_up_gets_a_lossless_replay_in_its_order(
     assert "out_of_order" not in nodes.log("estimator").read_text()
 
 
+@pytest.mark.parametrize("rounds", [16, pytest.param(180, marks=pytest.mark.long)])  # of 20 s each
 def test_a_long_run_takes_no_memory_and_leaves_no_thread(
-    nodes: Any, participant: Any, tmp_path: Path
+    nodes: Any, participant: Any, tmp_path: Path, rounds: int
 ) -> None:
     # The same run again and again, as fast as it is handled: no sample is lost, memory stays flat, and each
-    # round gets the answers that the first one gets.
+    # round gets the answers that the first one gets. The estimator keeps the samples of ten rounds, whose
+    # strikes can be fitted again.
     records = inputs(run_of(seed=9, duration=20.0))
-    rounds = 180 if LONG else 16  # ten of them are remembered, so that their strikes can be fitted once more
     with BagWriter(tmp_path / "bag") as bag:
         for record in records:
             bag.write(record, topics.QOS[record.topic.removeprefix("/")])
