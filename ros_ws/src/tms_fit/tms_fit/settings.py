@@ -41,7 +41,8 @@ class Option:
     def text(self) -> str:
         """Description in one line, with the unit and the choices."""
         listed = self.choices and self.kind not in ("values", "priors")
-        one_of = f": {', '.join(self.choices)}" if listed else ""
+        lead = "; one of " if self.kind == "choice" else ": "
+        one_of = f"{lead}{', '.join(self.choices)}" if listed else ""
         return f"{self.help}{one_of}{f' [{self.unit}]' if self.unit else ''}"
 
     @property
@@ -198,6 +199,7 @@ class Settings:
         node=False,
         unit="rad/s",
         positive=True,
+        high=1000.0,
         unset="what the covariance in the IMU's messages says",
     )
     filter: str = option(

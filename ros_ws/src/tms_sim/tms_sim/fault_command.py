@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-from tms_bag import BagReader, BagWriter, topics
-from tms_bag.event import Event, event_records
-from tms_bag.record import merged
-from tms_model import ParameterError
 from tms_model.command_line import print_json
+from tms_model.errors import ParameterError
 
-from tms_sim.fault_injection import Request, inject, parse_request
-from tms_sim.faults import FAULTS
-from tms_sim.truth import true_events
+if TYPE_CHECKING:
+    from tms_bag.event import Event
+
+    from tms_sim.fault_injection import Request
 
 
 def fault_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +48,8 @@ def fault(arguments: argparse.Namespace) -> None:
         raise ParameterError(
             f"--output: expected another bag than the one that is read, found {arguments.output}"
         )
+    from tms_sim.fault_injection import parse_request
+
     requests = [parse_request(asked) for asked in arguments.fault]
     told = spoil_bag(
         arguments.bag, requests, arguments.output, arguments.seed, "; ".join(arguments.fault), arguments.force
@@ -68,6 +68,14 @@ def spoil_bag(
     source: str, requests: list[Request], target: str, seed: int, asked: str, overwrite: bool = False
 ) -> list[Event]:
     """Write the bag `target`: messages of `source` with faults, and their events. Raises RecordingError."""
+    import numpy as np
+    from tms_bag import BagReader, BagWriter, topics
+    from tms_bag.event import event_records
+    from tms_bag.record import merged
+
+    from tms_sim.fault_injection import inject
+    from tms_sim.truth import true_events
+
     with BagReader(source) as bag:
         channels, custom_data, start_ns = bag.channels, bag.custom_data, bag.start_ns
         records, found = inject(bag.records(), requests, start_ns, np.random.default_rng(seed))
@@ -83,6 +91,8 @@ def spoil_bag(
 
 
 def _list(as_json: bool) -> None:
+    from tms_sim.faults import FAULTS
+
     if as_json:
         print_json(
             {

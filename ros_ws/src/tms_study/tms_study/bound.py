@@ -29,7 +29,6 @@ from tms_sim.imu_grade import load_imu
 from tms_sim.intervention import changed_bicycle, load_intervention
 from tms_sim.scenario import Scenario
 
-FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias", "speed")
 RATES = (25.0, 50.0, 100.0, 200.0, 1000.0)  # [Hz]
 NOISES = (0.5, 1.0, 2.0)  # of the scenario's noise density
 DURATIONS = (1.0, 1.5, 3.0, 4.0)  # [s]

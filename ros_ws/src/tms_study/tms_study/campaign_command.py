@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from tms_fit.estimators import ESTIMATORS
-from tms_fit.settings import Settings
-from tms_model import ParameterError
+from tms_fit.settings import OPTIONS, Settings
 from tms_model.command_line import print_json
-from tms_sim.scenario import parse_change
-
-from tms_study.campaign import Campaign, ride_all
-from tms_study.campaign_file import CampaignFile
-from tms_study.campaign_result import summarise, to_json, to_text
+from tms_model.errors import ParameterError
 
 
 def add_campaign(commands: Any) -> None:
@@ -41,7 +34,10 @@ def add_campaign(commands: Any) -> None:
         "--seed", type=int, default=1, help="seed of the first run of each (default %(default)s)"
     )
     command.add_argument(
-        "--estimator", choices=list(ESTIMATORS), default="least_squares", help="(default %(default)s)"
+        "--estimator",
+        choices=OPTIONS["estimators"].choices,
+        default="least_squares",
+        help="(default %(default)s)",
     )
     command.add_argument(
         "--fit",
@@ -66,6 +62,12 @@ def add_campaign(commands: Any) -> None:
 
 def run_campaign(arguments: argparse.Namespace) -> None:
     """Ride, fit, judge, print. Raises ParameterError and RecordingError."""
+    from tms_sim.scenario import parse_change
+
+    from tms_study.campaign import Campaign, ride_all
+    from tms_study.campaign_file import CampaignFile
+    from tms_study.campaign_result import summarise, to_json, to_text
+
     campaign = Campaign(
         arguments.scenario,
         dict(parse_change(text) for text in arguments.set),
@@ -84,7 +86,6 @@ def run_campaign(arguments: argparse.Namespace) -> None:
         rows = ride_all(campaign)
     summaries = summarise(campaign, rows)
     if arguments.figure:
-        # matplotlib takes a second to import: only who draws pays for it
         from tms_model.figures.saving import save_figure
 
         from tms_study.campaign_figure import campaign_figure
@@ -97,6 +98,8 @@ def run_campaign(arguments: argparse.Namespace) -> None:
 
 
 def _values(text: str) -> tuple[str, tuple[Any, ...]]:
+    from tms_sim.scenario import parse_change
+
     key, values = parse_change(text)
     if not isinstance(values, list) or not values:
         raise ParameterError(f"--vary: expected KEY=[V1,V2,...], found {text!r}")
@@ -106,7 +109,9 @@ def _values(text: str) -> tuple[str, tuple[Any, ...]]:
 
 
 def _settings(changes: list[str], estimator: str) -> Settings:
-    known = {field.name for field in fields(Settings)} - {"estimators"}
+    from tms_sim.scenario import parse_change
+
+    known = OPTIONS.keys() - {"estimators"}
     asked: dict[str, Any] = {}
     for text in changes:
         name, value = parse_change(text)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from tms_model import ParameterError
 from tms_model.command_line import print_json, seed
+from tms_model.errors import ParameterError
 
 from tms_study import __version__
-from tms_study.strikes import Score, cases, study
+
+if TYPE_CHECKING:
+    from tms_study.strikes import Score
 
 
 def add_strikes(commands: Any) -> None:
@@ -28,6 +29,10 @@ def add_strikes(commands: Any) -> None:
 
 def run_strikes(arguments: argparse.Namespace) -> None:
     """Run and print. Raises ParameterError for a number of runs below one, and names that no case has."""
+    import numpy as np
+
+    from tms_study.strikes import cases, study
+
     if arguments.runs < 1:
         raise ParameterError(f"--runs: expected one or more, found {arguments.runs}")
     if arguments.only and not any(arguments.only in case.topic for case in cases()):
@@ -47,6 +52,8 @@ def scores_json(scores: list[Score], seed: int) -> dict[str, Any]:
 
 
 def _score(one: Score) -> dict[str, Any]:
+    import numpy as np
+
     sizes = np.abs(one.errors)
     return {
         "case": one.topic,

@@ -7,18 +7,18 @@ import sys
 import tempfile
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tms_model.command_line import print_json
 
-from tms_bag.checks import ERROR, WARNING, Finding, Survey, findings, survey
-from tms_bag.checks.poses import read_pose
-from tms_bag.checks.run import onwards
-from tms_bag.logs.csv_import import import_csv
-from tms_bag.logs.mapping import load_mapping, mapping_names
+from tms_bag.logs.mapping_files import mapping_names
+
+if TYPE_CHECKING:
+    from tms_bag.checks import Finding, Survey
 
 FOUND = 3  # exit code with --strict
-_MARKS = {ERROR: "ERROR  ", WARNING: "warning", "note": "note   "}
+_MARKS = {"error": "ERROR  ", "warning": "warning", "note": "note   "}  # by severity
+_GRAVE = ("error", "warning")
 
 
 def add_check(commands: Any) -> None:
@@ -58,6 +58,12 @@ def add_check(commands: Any) -> None:
 
 def check(arguments: argparse.Namespace) -> None:
     """Look and tell. RecordingError and ParameterError if there is nothing to look at."""
+    from tms_bag.checks import findings, survey
+    from tms_bag.checks.poses import read_pose
+    from tms_bag.checks.run import onwards
+    from tms_bag.logs.csv_import import import_csv
+    from tms_bag.logs.mapping import load_mapping
+
     poses = [read_pose(text) for text in arguments.rest_pose]
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(arguments.bag)
@@ -73,7 +79,7 @@ def check(arguments: argparse.Namespace) -> None:
         _print_json(arguments.bag, seen, found, go_on)
     else:
         _print(arguments.bag, seen, found, go_on)
-    if arguments.strict and any(finding.severity in (ERROR, WARNING) for _, finding in found):
+    if arguments.strict and any(finding.severity in _GRAVE for _, finding in found):
         sys.stdout.flush()
         sys.exit(FOUND)
 
@@ -120,5 +126,5 @@ def _print(path: str, seen: Survey, found: list[tuple[str, Finding]], go_on: str
             if text:
                 wrapped = text if label == "type" else textwrap.fill(text, 100, subsequent_indent=" " * 8)
                 print(f"  {label + ':':6}{wrapped}")
-    grave = sum(finding.severity == ERROR for _, finding in found)
-    print(f"\n{grave} errors, {sum(f.severity == WARNING for _, f in found)} warnings. To go on: {go_on}")
+    errors, warnings = (sum(finding.severity == severity for _, finding in found) for severity in _GRAVE)
+    print(f"\n{errors} errors, {warnings} warnings. To go on: {go_on}")

@@ -7,12 +7,10 @@ import sys
 from functools import partial
 from typing import Any
 
-from tms_model import ParameterError
 from tms_model.command_line import print_json
-from tqdm import tqdm
+from tms_model.errors import ParameterError
 
-from tms_bag.logs.csv_export import export_csv
-from tms_bag.logs.mapping import DECIMALS
+from tms_bag.logs.mapping_files import DECIMALS
 
 
 def add_export(commands: Any) -> None:
@@ -46,6 +44,10 @@ def add_export(commands: Any) -> None:
 
 def export(arguments: argparse.Namespace) -> None:
     """Write the table and say what is in it. Raises RecordingError and ParameterError."""
+    from tqdm import tqdm
+
+    from tms_bag.logs.csv_export import export_csv
+
     delimiter = arguments.delimiter
     if len(delimiter) != 1 or delimiter.isalnum() or delimiter in '"\r\n.-' or delimiter == arguments.decimal:
         raise ParameterError(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tms_model import ParameterError
 from tms_model.command_line import print_json
+from tms_model.errors import ParameterError
 
-from tms_bag.logs.csv_import import Import, import_csv
-from tms_bag.logs.mapping import DECIMALS, LogMapping, adapted, load_mapping, mapping_names
+from tms_bag.logs.mapping_files import DECIMALS, mapping_names
+
+if TYPE_CHECKING:
+    from tms_bag.logs.csv_import import Import
+    from tms_bag.logs.mapping import LogMapping
 
 
 def add_import(commands: Any) -> None:
@@ -49,6 +52,9 @@ def add_import(commands: Any) -> None:
 
 def import_log(arguments: argparse.Namespace) -> None:
     """Write the bag and say what is in it. Raises RecordingError and ParameterError."""
+    from tms_bag.logs.csv_import import import_csv
+    from tms_bag.logs.mapping import adapted, load_mapping
+
     mapping = adapted(
         load_mapping(arguments.mapping),
         dict(_assignment(text) for text in arguments.column),

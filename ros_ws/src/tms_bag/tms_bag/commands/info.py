@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tms_model.command_line import print_json
 
-from tms_bag.reading.reader import BagReader
+if TYPE_CHECKING:
+    from tms_bag.reading.reader import BagReader
 
 
 def add_info(commands: Any) -> None:
@@ -20,6 +21,8 @@ def add_info(commands: Any) -> None:
 
 def info(arguments: argparse.Namespace) -> None:
     """Look and tell. Raises RecordingError."""
+    from tms_bag.reading.reader import BagReader
+
     with BagReader(arguments.bag) as bag:
         duration = (bag.end_ns - bag.start_ns) / 1e9
         if arguments.json:

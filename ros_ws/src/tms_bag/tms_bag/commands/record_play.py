@@ -11,12 +11,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tms_model.yaml_text import NOT_YAML, load_yaml
-
 from tms_bag.errors import RecordingError
-from tms_bag.reading.reader import BagReader
-from tms_bag.writing.presets import PRESETS
 
+COMPRESSIONS = ("zstd", "none", "fastwrite", "zstd_fast", "zstd_small")  # of tms_bag.writing.presets
 POLICIES = ("history", "depth", "reliability", "durability")  # that may be overridden
 
 
@@ -35,7 +32,7 @@ def add_record(commands: Any) -> None:
     flag("--exclude-types", nargs="+", default=[], metavar="TYPE", help="types to leave out")
     flag("--include-hidden", action="store_true", help="also topics with a part that starts with _")
     flag("--include-unpublished", action="store_true", help="also topics that nobody publishes so far")
-    flag("--compression", choices=tuple(PRESETS), default="zstd", help="how files are packed (default zstd)")
+    flag("--compression", choices=COMPRESSIONS, default="zstd", help="how files are packed (default zstd)")
     flag("--max-size", type=int, default=0, metavar="BYTES", help="go on in another file at this size")
     flag("--max-duration", type=float, default=0.0, metavar="S", help="go on in another file after so long")
     text = "keep only the last seconds, until the service ~/snapshot is called"
@@ -85,6 +82,8 @@ def record(arguments: argparse.Namespace) -> None:
 
 def play(arguments: argparse.Namespace) -> None:
     """Become the player."""
+    from tms_bag.reading.reader import BagReader
+
     parameters = dict(vars(arguments))
     for key in ("command", "clock", "remap", "qos_profile_overrides_path"):
         del parameters[key]
@@ -100,6 +99,8 @@ def play(arguments: argparse.Namespace) -> None:
 
 def qos_overrides(path: Path) -> dict[str, object]:
     """ROS parameters out of rosbag2's YAML file of overrides. RecordingError if it isn't one."""
+    from tms_model.yaml_text import NOT_YAML, load_yaml
+
     try:
         content = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, *NOT_YAML) as error:

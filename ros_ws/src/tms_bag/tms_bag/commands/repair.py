@@ -6,10 +6,6 @@ import argparse
 from functools import partial
 from typing import Any
 
-from tqdm import tqdm
-
-from tms_bag.writing.repair import repair
-
 
 def add_repair(commands: Any) -> None:
     """The parser of `bag repair`."""
@@ -32,6 +28,10 @@ def add_repair(commands: Any) -> None:
 
 def mend(arguments: argparse.Namespace) -> None:
     """Write the clean bag and say what was lost. Raises RecordingError."""
+    from tqdm import tqdm
+
+    from tms_bag.writing.repair import repair
+
     progress = partial(tqdm, desc="repair", unit=" messages", disable=None)
     done = repair(arguments.bag, arguments.output, progress)
     if done.output is None:

@@ -36,9 +36,9 @@ import yaml
 from tms_model import ParameterError
 from tms_model.catalogue import check_keys, number, read_yaml
 
-FOLDER = Path(__file__).parent / "mappings"
+from tms_bag.logs.mapping_files import DECIMALS, FOLDER, mapping_names
+
 DEFAULT_START_NS = 10**9
-DECIMALS = (".", ",")
 
 UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": pi / 180.0},
@@ -117,11 +117,6 @@ class LogMapping:
     def configuration(self) -> str:
         """All of it as YAML, for the record."""
         return str(yaml.safe_dump(dataclasses.asdict(self), sort_keys=False, allow_unicode=True, width=100))
-
-
-def mapping_names() -> list[str]:
-    """Names of the shipped mappings, sorted."""
-    return sorted(path.stem for path in FOLDER.glob("*.yaml"))
 
 
 def load_mapping(name: str | Path) -> LogMapping:
