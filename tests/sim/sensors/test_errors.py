@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tms_sim.imu_grade import ERRORS, ImuGrade, imu_names, load_imu
-from tms_sim.sensors.errors import SensorErrors, measure
+from tms_sim.imu_grade import ERRORS, ImuGrade, SensorErrors, imu_names, load_imu
+from tms_sim.sensors.errors import measure
 
 RATE = 100.0
 

@@ -1,7 +1,7 @@
 """Inertial sensors as data: one YAML file each in `imus/`, with Kalibr's names and units.
 
 Kalibr's four noise terms and its update_rate must stand there, so that one of its files can be pasted; all
-other errors are 0 where they're left out (`tms_sim.sensors.errors.SensorErrors`), and Kalibr's rostopic is
+other errors are 0 where they're left out (`SensorErrors`), and Kalibr's rostopic is
 ignored.
 """
 
@@ -16,7 +16,23 @@ from typing import Any
 from tms_model import ParameterError
 from tms_model.catalogue import check_keys, number, read_yaml
 
-from tms_sim.sensors.errors import SensorErrors
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Sizes of the errors, the same for the three axes; u is the unit of the reading. 0 switches one off."""
+
+    noise_density: float = 0.0  # [u/sqrt(Hz)] white noise
+    random_walk: float = 0.0  # [u/s/sqrt(Hz)] the bias wanders
+    bias: float = 0.0  # [u] standard deviation from run to run
+    scale: float = 0.0  # [1] standard deviation of the relative error of each axis
+    misalignment: float = 0.0  # [rad] standard deviation of each axis towards each of the others
+    resolution: float = 0.0  # [u] step of the reading
+    limit: float = math.inf  # [u] largest reading
+
+    def noise_std(self, rate: float) -> float:
+        """Standard deviation of the white noise and the rounding of one sample [u] at a sample rate [Hz]."""
+        return math.sqrt(self.noise_density**2 * rate + self.resolution**2 / 12.0)
+
 
 FOLDER = Path(__file__).parent / "imus"
 TEXT = ("description", "source", "uncertainty")

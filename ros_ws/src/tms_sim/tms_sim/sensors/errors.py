@@ -17,22 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-
-@dataclass(frozen=True)
-class SensorErrors:
-    """Sizes of the errors, the same for the three axes; u is the unit of the reading. 0 switches one off."""
-
-    noise_density: float = 0.0  # [u/sqrt(Hz)] white noise
-    random_walk: float = 0.0  # [u/s/sqrt(Hz)] the bias wanders
-    bias: float = 0.0  # [u] standard deviation from run to run
-    scale: float = 0.0  # [1] standard deviation of the relative error of each axis
-    misalignment: float = 0.0  # [rad] standard deviation of each axis towards each of the others
-    resolution: float = 0.0  # [u] step of the reading
-    limit: float = math.inf  # [u] largest reading
-
-    def noise_std(self, rate: float) -> float:
-        """Standard deviation of the white noise and the rounding of one sample [u] at a sample rate [Hz]."""
-        return math.sqrt(self.noise_density**2 * rate + self.resolution**2 / 12.0)
+from tms_sim.imu_grade import SensorErrors
 
 
 @dataclass(frozen=True, eq=False)
