@@ -19,7 +19,7 @@ from tms_fit.kalman.running_filter import FilterStep
 from tms_fit.messages import filter_state_record
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_fit import LiveFit
-from tms_fit.streaming.online import OnlineFit
+from tms_fit.streaming.live_run import LiveRun
 from tms_model import discretise, linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes, quaternion
 
@@ -57,8 +57,8 @@ def print_costs(count: int, repeats: int, rate: int) -> None:
                if kind == topics.IMU]  # fmt: skip
     ways = {
         "filterpy, predict, update, Mahalanobis": lambda: by_filterpy(quiet),
-        "OnlineFit, linear": lambda: fed(quiet, Settings()),
-        "OnlineFit, extended": lambda: fed(quiet, Settings(filter="extended")),
+        "LiveRun, linear": lambda: fed(quiet, Settings()),
+        "LiveRun, extended": lambda: fed(quiet, Settings(filter="extended")),
         "reading the messages": lambda: [conversion.imu_reading(record) for record in records],
         "writing the messages": lambda: [filter_state_record(step) for step in steps],
         "LiveFit, all of these, linear": lambda: taken(messages, 0.0),
@@ -151,9 +151,9 @@ def encoded(imu: ImuSamples) -> list[tuple[str, bytes]]:
     return [(record.topic.removeprefix("/"), record.data) for record in (announced, *records)]
 
 
-def fed(imu: ImuSamples, settings: Settings) -> OnlineFit:
+def fed(imu: ImuSamples, settings: Settings) -> LiveRun:
     """The fit after all samples, without messages."""
-    online = OnlineFit(load_bicycle(INFO.bicycle), settings, quaternion(0.0, 0.0, 0.0), SPEED)
+    online = LiveRun(load_bicycle(INFO.bicycle), settings, quaternion(0.0, 0.0, 0.0), SPEED)
     for number, stamp in enumerate(imu.time_ns.tolist()):
         if number % 5 == 0:
             online.add_speed(stamp, SPEED)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.recording_fit import feed
+from tms_fit.recording_fit import fit_recording
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit, StrikeFit
+from tms_fit.strike_fit import StrikeFit
 from tms_model import load_bicycle
 from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
@@ -34,13 +34,7 @@ def fit_run() -> FitRun:
     """Strikes of a run and their estimates; settings as those of Settings."""
 
     def fit(run: SimulatedRun, **settings: Any) -> list[StrikeFit]:
-        online = OnlineFit(
-            load_bicycle(run.info.bicycle),
-            Settings(**settings),
-            run.info.imu_orientation,
-            running_filter=False,
-        )
-        feed(online, run)  # type: ignore[arg-type]  # it has what a recording has
-        return [result for result in online.results() if isinstance(result, StrikeFit)]
+        fits = fit_recording(run.recording(), load_bicycle(run.info.bicycle), Settings(**settings))
+        return list(fits.strikes)
 
     return fit

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tms_fit.diagnostics.misspecification import doubt
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.censoring import saturated
+from tms_fit.gyroscopes import saturated
 from tms_fit.noise import oscillator
 from tms_fit.settings import Settings
 from tms_fit.window import Window

@@ -13,7 +13,7 @@ from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilt
 from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
 from tms_fit.kalman.transitions import TransitionCache
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit
+from tms_fit.streaming.live_run import LiveRun
 from tms_model import ParameterError, bicycle_names, linear_system, load_bicycle
 from tms_model.varying_speed import varying_system
 
@@ -147,9 +147,9 @@ def coasting_run(make_run: Any, seed: int, **changes: Any) -> Any:
 
 def followed(
     run: Any, stated_speed: float, with_speed: bool, **settings: Any
-) -> tuple[OnlineFit, list[FilterStep]]:
+) -> tuple[LiveRun, list[FilterStep]]:
     wanted = Settings(filter="extended", **settings)
-    online = OnlineFit(load_bicycle("tms_eq_10_1"), wanted, run.info.imu_orientation, stated_speed)
+    online = LiveRun(load_bicycle("tms_eq_10_1"), wanted, run.info.imu_orientation, stated_speed)
     if with_speed:
         for stamp, speed in zip(run.speed.time_ns.tolist(), run.speed.speed.tolist(), strict=True):
             online.add_speed(stamp, speed)

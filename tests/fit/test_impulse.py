@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tms_fit.recording_fit import feed
+from tms_fit.recording_fit import fit_recording
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit, StrikeFit
+from tms_fit.streaming.live_run import LiveRun
+from tms_fit.strike_fit import StrikeFit
 from tms_fit.strikes.impulse import fit_impulse
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.frames import flip_axes, quaternion
@@ -82,19 +83,19 @@ def test_without_a_yaw_rate_the_lean_rate_alone_will_do() -> None:
     assert fit_impulse(time[:8], rates[:8], SYSTEM, (-0.48, -0.45)) is None
 
 
-def ridden(rates: np.ndarray, time: np.ndarray, seed: int) -> OnlineFit:
+def ridden(rates: np.ndarray, time: np.ndarray, seed: int) -> LiveRun:
     """A level sensor's readings of both rates, fed to the fit."""
     rng = np.random.default_rng(seed)
     body = np.stack([rates[:, 0], np.zeros(len(time)), rates[:, 1]], axis=1)
     readings = flip_axes(body) + NOISE * rng.standard_normal(body.shape)
-    online = OnlineFit(BICYCLE, Settings(estimators=("least_squares",), noise="white"), LEVEL, 3.6, False)
+    online = LiveRun(BICYCLE, Settings(estimators=("least_squares",), noise="white"), LEVEL, 3.6)
     for stamp, reading in zip(np.round(1e9 * time).astype(np.int64).tolist(), readings, strict=True):
         online.add_imu(stamp, reading, np.full(3, np.nan))
     online.finish()
     return online
 
 
-def found_in(online: OnlineFit) -> list[StrikeFit]:
+def found_in(online: LiveRun) -> list[StrikeFit]:
     return [one for one in online.results() if isinstance(one, StrikeFit)]
 
 
@@ -134,15 +135,8 @@ def test_an_end_between_two_samples_stays_there_unless_the_equations_exclude_it(
 def test_real_pushes_stay_pushes(make_run: Any) -> None:
     # 0.2 s of a hand, with a yaw rate beside it that the equations explain.
     run = make_run("delft_push", strike__time=2.0, strike__duration=0.2, strike__lean_rate=-0.8)
-    online = OnlineFit(
-        load_bicycle(run.info.bicycle),
-        Settings(estimators=("least_squares",), noise="white"),
-        run.info.imu_orientation,
-        run.info.speed,
-        running_filter=False,
-    )
-    feed(online, run)
-    (found,) = found_in(online)
+    settings = Settings(estimators=("least_squares",), noise="white")
+    (found,) = fit_recording(run.recording(), load_bicycle(run.info.bicycle), settings).strikes
     assert found.strike.kind == "push"
     assert 2.1 < (found.strike.time_ns - run.info.start_ns) / 1e9 < 2.2
     # Upright at the peak of a push is the wrong model: what it leaves is large, and still gives a covariance.

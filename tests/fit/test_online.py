@@ -17,7 +17,9 @@ from tms_fit.messages import estimate_records
 from tms_fit.recording_fit import bicycle_of, fit_recording
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_fit import INPUTS, REORDER_WINDOW, LiveFit
-from tms_fit.streaming.online import PATIENCE, OnlineFit, StrikeFit
+from tms_fit.streaming.live_run import LiveRun
+from tms_fit.streaming.synchronizer import LONGEST_WAIT_NS
+from tms_fit.strike_fit import StrikeFit
 from tms_model import ParameterError, load_bicycle
 from tms_model.frames import imu_to_rear_frame
 from tms_sim.run import SimulatedRun
@@ -51,7 +53,7 @@ def late(run: SimulatedRun, seed: int, longest: float) -> list[Event]:
 
 
 def results_of(run: SimulatedRun, order: Iterable[Event], **settings: Any) -> list[StrikeFit | FilterStep]:
-    online = OnlineFit(load_bicycle(run.info.bicycle), Settings(**settings), run.info.imu_orientation, 3.0)
+    online = LiveRun(load_bicycle(run.info.bicycle), Settings(**settings), run.info.imu_orientation, 3.0)
     results: list[StrikeFit | FilterStep] = []
     for stamp, topic, _, value in order:
         if topic == "imu":
@@ -104,7 +106,7 @@ def test_imu_waits_no_longer_than_its_patience(make_run: Any) -> None:
     # The speed sensor falls silent after 2 s: its last value holds, and every sample is used all the same.
     run = make_run("tms_strike", strike__time=1.5037, duration=4.5)
     silent = [event for event in in_order(run) if event[1] == "imu" or event[0] < 3 * SECOND]
-    online = OnlineFit(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation)
+    online = LiveRun(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation)
     for stamp, topic, _, value in silent:
         if topic == "imu":
             online.add_imu(stamp, value, run.imu.angular_velocity_variance)
@@ -112,7 +114,7 @@ def test_imu_waits_no_longer_than_its_patience(make_run: Any) -> None:
             online.add_speed(stamp, value)
     results = online.results()
     steps = [result for result in results if isinstance(result, FilterStep)]
-    assert steps[-1].time_ns == run.imu.time_ns[-1] - PATIENCE
+    assert steps[-1].time_ns == run.imu.time_ns[-1] - LONGEST_WAIT_NS
     assert steps[-1].speed == run.speed.speed[run.speed.time_ns < 3 * SECOND][-1]
     online.finish()
     results += online.results()
@@ -125,7 +127,7 @@ def test_without_a_speed_topic_the_nominal_speed_serves(make_run: Any) -> None:
     only_imu = [event for event in in_order(run) if event[1] == "imu"]
     settings = Settings(estimators=("least_squares",))
     for nominal, fixed in ((3.6, {}), (float("nan"), {"speed": 3.6})):
-        online = OnlineFit(
+        online = LiveRun(
             load_bicycle("tms_eq_10_1"), replace(settings, fixed=fixed), run.info.imu_orientation, nominal
         )
         for stamp, _, _, value in only_imu:
@@ -135,7 +137,7 @@ def test_without_a_speed_topic_the_nominal_speed_serves(make_run: Any) -> None:
         (strike,) = (result for result in results if isinstance(result, StrikeFit))
         assert strike.estimates[0].parameters["initial_lean_rate"] == pytest.approx(0.5, rel=1e-3)
         assert sum(isinstance(result, FilterStep) for result in results) == len(only_imu)
-    online = OnlineFit(load_bicycle("tms_eq_10_1"), settings, run.info.imu_orientation)
+    online = LiveRun(load_bicycle("tms_eq_10_1"), settings, run.info.imu_orientation)
     for stamp, _, _, value in only_imu:
         online.add_imu(stamp, value, run.imu.angular_velocity_variance)
     online.finish()

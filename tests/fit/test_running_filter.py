@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FIRST_STD, FilterStep, RunningFilter
 from tms_fit.kalman.transitions import TransitionCache
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit
+from tms_fit.streaming.live_run import LiveRun
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, stability, yaw_rate
 
 STEP_NS = 10_000_000
@@ -76,7 +76,7 @@ def test_after_a_strike_it_is_rather_too_careful(make_run: Any) -> None:
     foreseen, seen = [], []
     for seed in range(8):
         run = make_run("tms_strike", strike__time=1.5037, duration=5.0, seed=seed)
-        online = OnlineFit(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation, 3.6)
+        online = LiveRun(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation, 3.6)
         for stamp, rate in zip(run.imu.time_ns.tolist(), run.imu.angular_velocity, strict=True):
             online.add_imu(stamp, rate, run.imu.angular_velocity_variance)
         online.finish()
@@ -91,7 +91,7 @@ def test_after_a_strike_it_is_rather_too_careful(make_run: Any) -> None:
 
 def test_state_follows_the_truth_through_a_strike(make_run: Any) -> None:
     run = make_run("tms_strike", strike__time=1.5037, duration=5.0)
-    online = OnlineFit(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation, 3.6)
+    online = LiveRun(load_bicycle("tms_eq_10_1"), Settings(), run.info.imu_orientation, 3.6)
     for stamp, rate in zip(run.imu.time_ns.tolist(), run.imu.angular_velocity, strict=True):
         online.add_imu(stamp, rate, run.imu.angular_velocity_variance)
     online.finish()

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from tms_bag import BagWriter, read_recording, topics
 from tms_bag.record import Record
+from tms_fit.gyroscopes import Gyroscopes, X, Y, Z
 from tms_fit.messages import estimate_records
 from tms_fit.recording_fit import fit_recording
 from tms_fit.settings import Settings
-from tms_fit.streaming.gyroscopes import Gyroscopes, X, Y, Z
 from tms_fit.streaming.live_fit import INPUTS, LiveFit
-from tms_fit.streaming.synchronizer import MOST_FLAGS, SampleSynchronizer
+from tms_fit.streaming.synchronizer import WAITING_FLAGS_LIMIT, SampleSynchronizer
 from tms_model import load_bicycle
 from tms_model.frames import quaternion
 from tms_sim.run import SimulatedRun
@@ -103,10 +103,10 @@ def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
 
 def test_marks_without_samples_are_forgotten() -> None:
     aligned = SampleSynchronizer(Gyroscopes(LEVEL, None), 0.0, 3.6)
-    for stamp in range(1, MOST_FLAGS + 3):
+    for stamp in range(1, WAITING_FLAGS_LIMIT + 3):
         aligned.add_flags(stamp, X)
     assert aligned.counts["late_flags"] == 2
-    for stamp in (2, MOST_FLAGS + 2):
+    for stamp in (2, WAITING_FLAGS_LIMIT + 2):
         aligned.add_imu(stamp, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
     first, last = aligned.ready(finished=True)
     assert (first.flags, last.flags) == (0, X)

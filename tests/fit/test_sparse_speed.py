@@ -11,16 +11,14 @@ from tms_bag.samples import SpeedSamples
 from tms_fit.diagnostics.hypothesis_tests import run_hypothesis_tests
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.messages import estimate_records
-from tms_fit.recording_fit import feed
+from tms_fit.recording_fit import fit_recording
 from tms_fit.response.discretization import speeds_at
 from tms_fit.response.prediction import predict_by
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import FLOORS, GUESSED, UNSTATED, SpeedProfile, fit_speed_profile
 from tms_fit.streaming.live_fit import INPUTS, LiveFit
-from tms_fit.streaming.online import OnlineFit
 from tms_fit.streaming.synchronizer import Series
 from tms_fit.strike_fit import StrikeFit
-from tms_model import load_bicycle
 from tms_model.acceleration import coasting_loss
 from tms_sim.run import SimulatedRun
 
@@ -235,11 +233,7 @@ def test_constant_speed_is_tested_by_the_rates_alone(strike: StrikeFit) -> None:
 
 
 def test_live_is_offline_to_the_byte_with_the_cameras_speed(filmed: SimulatedRun) -> None:
-    online = OnlineFit(
-        load_bicycle(filmed.info.bicycle), Settings(), filmed.info.imu_orientation, running_filter=False
-    )
-    feed(online, filmed)  # type: ignore[arg-type]  # it has what a recording has
-    offline = [one for one in online.results() if isinstance(one, StrikeFit)]
+    offline = fit_recording(filmed.recording()).strikes
     live = LiveFit(Settings(), preview_period=60.0)
     answers = [
         answer

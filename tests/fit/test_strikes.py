@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit, StrikeFit
+from tms_fit.streaming.live_run import LiveRun
+from tms_fit.strike_fit import StrikeFit
 from tms_fit.strikes.detector import Strike, StrikeDetector
 from tms_model import LinearSystem, bicycle_names, linear_system, load_bicycle, response, stability, yaw_rate
 from tms_model.frames import flip_axes, quaternion
@@ -38,7 +39,7 @@ def found_by_the_fit(
     body = np.stack([states[:, 2], yaw * np.sin(states[:, 0]), yaw * np.cos(states[:, 0])], axis=1)
     readings = flip_axes(body) + noise * rng.standard_normal(body.shape)
     settings = Settings(estimators=("least_squares",))
-    online = OnlineFit(load_bicycle(name), settings, LEVEL, speed, running_filter=False)
+    online = LiveRun(load_bicycle(name), settings, LEVEL, speed)
     for stamp, reading in zip(
         (START_NS + np.round(time * 1e9).astype(np.int64)).tolist(), readings, strict=True
     ):

@@ -187,12 +187,13 @@ def _fits(
         estimators=("least_squares",),
     )
     from tms_bag import read_recording
-    from tms_fit.recording_fit import bicycle_of, fit_recording
+    from tms_fit.cli import fit_with_bar
+    from tms_fit.recording_fit import bicycle_of
 
     fits = []
     for bag in arguments.bags:
         recording = read_recording(bag)
-        fits.append(fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings))
+        fits.append(fit_with_bar(recording, bicycle_of(recording, arguments.bicycle), settings))
     return fits
 
 

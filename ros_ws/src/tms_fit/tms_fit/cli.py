@@ -18,7 +18,11 @@ from tms_model.errors import ParameterError
 from tms_fit.arguments import add_options, settings_of
 
 if TYPE_CHECKING:
+    from tms_bag import Recording
+    from tms_model import Bicycle
+
     from tms_fit.recording_fit import RecordingFit
+    from tms_fit.settings import Settings
 
 DIAGNOSTICS = {  # of `fit run`, on request
     "hypotheses": "test rival explanations of each strike, one sentence each",
@@ -140,9 +144,26 @@ def _fit(arguments: argparse.Namespace, strike_times: tuple[float, ...] = ()) ->
     settings = settings_of(arguments)
     from tms_bag import read_recording
 
-    from tms_fit.recording_fit import bicycle_of, fit_recording
+    from tms_fit.recording_fit import bicycle_of
 
     recording = read_recording(
         arguments.bag, arguments.imu_topic, arguments.speed_topic, arguments.steer_torque_topic
     )
-    return fit_recording(recording, bicycle_of(recording, arguments.bicycle), settings, strike_times)
+    return fit_with_bar(recording, bicycle_of(recording, arguments.bicycle), settings, strike_times)
+
+
+def fit_with_bar(
+    recording: Recording, bicycle: Bicycle, settings: Settings, strike_times: tuple[float, ...] = ()
+) -> RecordingFit:
+    """`fit_recording` with a progress bar on stderr where that is a terminal."""
+    from tqdm import tqdm
+
+    from tms_fit.recording_fit import fit_recording
+
+    with tqdm(total=1.0, desc="fit", leave=False, disable=None, bar_format="{l_bar}{bar}| {postfix}") as bar:
+
+        def show(share: float, strikes: int) -> None:
+            bar.set_postfix_str(f"{strikes} strikes", refresh=False)
+            bar.update(share - bar.n)
+
+        return fit_recording(recording, bicycle, settings, strike_times, show)

@@ -11,10 +11,11 @@ from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.estimate import Estimate
-from tms_fit.recording_fit import RecordingFit, orientation_of
+from tms_fit.gyroscopes import orientation_of
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.response.prediction import predict_by
 from tms_fit.speed_profile import constant_speed
-from tms_fit.streaming.online import StrikeFit
+from tms_fit.strike_fit import StrikeFit
 from tms_fit.window import Window, make_window
 
 BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response

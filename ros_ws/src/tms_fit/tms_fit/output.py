@@ -6,14 +6,14 @@ import math
 from collections.abc import Collection
 from typing import Any
 
-from tms_fit.diagnostics.output import criticism_json, scrutiny_json, scrutiny_lines
+from tms_fit.diagnostics.output import diagnostics_json, diagnostics_lines, residual_tests_json
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.make_estimate import COLOURED
 from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import StrikeFit
+from tms_fit.strike_fit import StrikeFit
 from tms_fit.strikes.strike import Strike, StrikeSettings
 
 
@@ -52,10 +52,10 @@ def _strike(
         "speed": fit.speed if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [
-            {**_estimate(one), "criticism": criticism_json(window, one, stated) if window else None}
+            {**_estimate(one), "criticism": residual_tests_json(window, one, stated) if window else None}
             for one in fit.estimates
         ],
-        **scrutiny_json(fit, settings, asked),
+        **diagnostics_json(window, fit.estimates, fit.doubt, settings, asked),
     }
 
 
@@ -132,7 +132,8 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
     stated = stated_noise(fit.recording, fit.settings)
     for one in fit.strikes:
         when = (one.start_ns - first_stamp(fit.recording)) / 1e9
-        lines.extend(f"{when:10.4f} {line}" for line in scrutiny_lines(one, fit.settings, asked, stated))
+        found = diagnostics_lines(one.window, one.estimates, one.doubt, fit.settings, asked, stated)
+        lines.extend(f"{when:10.4f} {line}" for line in found)
     if any(one.doubt for one in fit.strikes):
         lines.append("? doubtful, as told above: no interval covers a wrong model")
     if any(line.removesuffix(" ?").endswith(" *") for line in lines):

@@ -1,25 +1,29 @@
-"""The fit of a recording: the same samples through the same class as a live run."""
+"""Fit of a recording: synchronise, detect, window, fit, diagnose."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Recording, RecordingError
-from tms_bag.samples import RunInfo
-from tms_model import Bicycle, ParameterError, bicycle_names, load_bicycle
-from tms_model.bicycle import Array
-from tms_model.frames import quaternion
-from tms_model.stated_bicycle import bicycle_from_numbers
-from tqdm import tqdm
+from tms_model import Bicycle, ParameterError, load_bicycle
 
+from tms_fit.estimators import check_names
+from tms_fit.gyroscopes import FLAGS, Gyroscopes, orientation_of
+from tms_fit.run_info import stated_bicycle
+from tms_fit.segment import FreeResponse
 from tms_fit.settings import Settings
-from tms_fit.streaming.gyroscopes import FLAGS
-from tms_fit.streaming.online import OnlineFit, StrikeFit
-from tms_fit.strikes.strike import NANOSECONDS, Rejected
+from tms_fit.streaming.samples import Samples
+from tms_fit.streaming.synchronizer import SampleSynchronizer
+from tms_fit.streaming.tracker import StrikeTracker
+from tms_fit.strike_fit import StrikeFit, fit_strike
+from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
+
+DEFAULTS = Settings()
+SYNCHRONISATION_SHARE = 0.2  # of the progress reported, by measurement without strikes
+Progress = Callable[[float, int], None]  # share of the recording processed, strikes found so far
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +34,94 @@ class RecordingFit:
     bicycle: Bicycle
     settings: Settings
     strikes: tuple[StrikeFit, ...]
-    rejected: tuple[Rejected, ...] = ()  # changes that were looked at and not taken for strikes
+    rejected: tuple[Rejected, ...] = ()  # changes of the lean rate that are no strikes
 
 
-def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
-    """The bicycle asked for, by name or file, else the one that the recording states.
+def fit_recording(
+    recording: Recording,
+    bicycle: Bicycle | None = None,
+    settings: Settings = DEFAULTS,
+    strike_times: Iterable[float] = (),
+    progress: Progress | None = None,
+) -> RecordingFit:
+    """Strikes of a recording, each with its fit.
+
+    bicycle: None for the one that the recording states. strike_times: starts of the free responses [s since
+    the recording's first stamp], in place of those detected. progress is called now and then; an exception
+    that it raises ends the fit.
+
+    Raises RecordingError without a speed, a rotation rate or a bicycle, and for a strike time outside the
+    samples; ParameterError for an unknown estimator.
+    """
+    check_names(settings.estimators)
+    _check_measurements(recording, settings)
+    bicycle = bicycle_of(recording) if bicycle is None else bicycle
+    samples = synchronize(recording, settings, progress)
+    tracker = StrikeTracker(samples, bicycle, settings, _stamps(recording, strike_times))
+    responses = free_responses(samples, tracker, progress)
+    fits = [fit_strike(response, bicycle, settings) for response in responses]  # window, fit, diagnose
+    return RecordingFit(recording, bicycle, settings, tuple(fits), tuple(tracker.rejected))
+
+
+def find_strikes(
+    recording: Recording,
+    bicycle: Bicycle | None = None,
+    settings: Settings = DEFAULTS,
+    strike_times: Iterable[float] = (),
+) -> tuple[tuple[Strike, ...], tuple[Rejected, ...]]:
+    """Strikes of a recording, and the changes of its lean rate that were rejected; see `fit_recording`."""
+    _check_measurements(recording, settings)
+    bicycle = bicycle_of(recording) if bicycle is None else bicycle
+    samples = synchronize(recording, settings)
+    tracker = StrikeTracker(samples, bicycle, settings, _stamps(recording, strike_times))
+    found = [response.strike for response in free_responses(samples, tracker)]
+    return tuple(found), tuple(tracker.rejected)
+
+
+def synchronize(recording: Recording, settings: Settings, progress: Progress | None = None) -> Samples:
+    """IMU samples of a recording in the axes of the rear frame, with the speed and torque of their times."""
+    info = recording.run_info
+    gyroscopes = Gyroscopes(orientation_of(info), settings.gyroscope_range)
+    synchronizer = SampleSynchronizer(gyroscopes, 0.0, settings.fixed.get("speed"))
+    samples = Samples(synchronizer.speed, _nominal_speed(recording, settings))
+    imu, speed, torque, flags = recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw
+    x, y, z = imu.angular_velocity_variance.tolist()
+    times, kinds, rows = _in_time_order(recording)
+    for number, (time_ns, kind, row) in enumerate(
+        zip(times.tolist(), kinds.tolist(), rows.tolist(), strict=True)
+    ):
+        if progress is not None and number % _every(times) == 0:
+            progress(SYNCHRONISATION_SHARE * number / len(times), 0)
+        if kind == 3:
+            p, q, r = imu.angular_velocity[row].tolist()
+            synchronizer.add_imu(time_ns, (p, q, r), (x, y, z))
+        elif kind == 2 and flags is not None:
+            synchronizer.add_flags(time_ns, int(flags.saturation[row]))
+        elif kind == 1 and torque is not None:
+            synchronizer.steer_torque.add(time_ns, float(torque.steer_torque[row]))
+        elif speed is not None:
+            synchronizer.speed.add(time_ns, float(speed.speed[row]), float(speed.variance[row]))
+        samples.extend(synchronizer.ready())
+    samples.extend(synchronizer.ready(finished=True))
+    return samples
+
+
+def free_responses(
+    samples: Samples, tracker: StrikeTracker, progress: Progress | None = None
+) -> Iterator[FreeResponse]:
+    """Free responses in samples, each as soon as the tracker has seen enough of them."""
+    times, lean_rates = samples.time_ns, samples.angular_velocity[:, 0]
+    for number, (time_ns, lean_rate) in enumerate(zip(times.tolist(), lean_rates.tolist(), strict=True)):
+        if progress is not None and number % _every(times) == 0:
+            share = SYNCHRONISATION_SHARE + (1.0 - SYNCHRONISATION_SHARE) * number / len(times)
+            progress(share, tracker.strike_count)
+        tracker.process(time_ns, lean_rate)
+        yield from tracker.completed()
+    yield from tracker.finish()
+
+
+def bicycle_of(recording: Recording, name: str | None = None) -> Bicycle:
+    """The bicycle of a name or file; without one, the bicycle that the recording states.
 
     Raises ParameterError, and RecordingError where the recording states none.
     """
@@ -51,67 +138,40 @@ def bicycle_of(recording: Recording, name: str | None) -> Bicycle:
         ) from error
 
 
-def stated_bicycle(info: RunInfo | None) -> Bicycle:
-    """The bicycle of the catalogue that a run_info names, else one of the numbers that it states.
-
-    Another name may not have a file opened. Raises ParameterError where it states none.
-    """
-    if info is None or not info.bicycle:
-        raise ParameterError("expected a run_info that names a bicycle, found none")
-    if info.bicycle in bicycle_names():
-        return load_bicycle(info.bicycle)
-    return bicycle_from_numbers(info.bicycle, info.parameters)
-
-
-Progress = Callable[[float, int], None]  # share of the samples used, strikes fitted so far
-
-
-def fit_recording(
-    recording: Recording,
-    bicycle: Bicycle,
-    settings: Settings,
-    strike_times: tuple[float, ...] = (),
-    progress: Progress | None = None,
-) -> RecordingFit:
-    """Find the strikes of a recording and fit each. Raises RecordingError without a speed or a lean rate.
-
-    strike_times: starts of the free responses that somebody states [s since the recording's first stamp], in
-    place of those found. Raises RecordingError where there are no samples at one of them. `progress` is
-    called now and then; what it raises ends the fit.
-    """
-    info = recording.run_info
-    nominal = info.speed if info else float("nan")
-    if recording.speed is None and not np.isfinite([settings.stated_speed, nominal]).any():
-        raise RecordingError(
-            f"{recording.path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s], or"
-            " --prior speed=MEAN,STD where it is to be found"
-        )
-    if (
-        recording.speed is not None
-        and "speed" not in settings.fixed
-        and not (recording.speed.speed > 0.0).any()
-    ):
-        raise RecordingError(
-            f"{recording.path}: expected a positive forward speed, found at most"
-            f" {np.fmax.reduce(recording.speed.speed):g} m/s;"
-            " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
-        )
-    given = tuple(_stamp(recording, time) for time in sorted(set(strike_times)))
-    online = OnlineFit(bicycle, settings, orientation_of(info), nominal, False, given)
-    feed(online, recording, progress)
-    if not any(np.isfinite(recording.imu.angular_velocity[:, axis]).any() for axis in range(3)):
-        raise RecordingError(
-            f"{recording.path}: expected gyroscope readings in the IMU topic, found only NaN"
-        )
-    strikes = [result for result in online.results() if isinstance(result, StrikeFit)]
-    return RecordingFit(recording, bicycle, settings, tuple(strikes), tuple(online.rejected))
-
-
 def first_stamp(recording: Recording) -> int:
     """Earliest header stamp of the samples [ns]; log times may follow another clock."""
     series = (recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw)
     stamps = [int(one.time_ns[0]) for one in series if one is not None and len(one.time_ns)]
     return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
+
+
+def _nominal_speed(recording: Recording, settings: Settings) -> float:
+    """Speed [m/s] where none is measured: of the settings, else of the run_info; NaN: unknown."""
+    stated = settings.stated_speed
+    info = recording.run_info
+    return stated if np.isfinite(stated) or info is None else info.speed
+
+
+def _check_measurements(recording: Recording, settings: Settings) -> None:
+    """Raise RecordingError without a speed or a rotation rate."""
+    speed, path = recording.speed, recording.path
+    if speed is None and not np.isfinite(_nominal_speed(recording, settings)):
+        raise RecordingError(
+            f"{path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s], or"
+            " --prior speed=MEAN,STD where it is to be found"
+        )
+    if speed is not None and "speed" not in settings.fixed and not (speed.speed > 0.0).any():
+        raise RecordingError(
+            f"{path}: expected a positive forward speed, found at most {np.fmax.reduce(speed.speed):g} m/s;"
+            " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
+        )
+    if not np.isfinite(recording.imu.angular_velocity).any():
+        raise RecordingError(f"{path}: expected gyroscope readings in the IMU topic, found only NaN")
+
+
+def _stamps(recording: Recording, strike_times: Iterable[float]) -> tuple[int, ...]:
+    """Stamps [ns] of strike times [s since the first stamp], in ascending order."""
+    return tuple(_stamp(recording, time) for time in sorted(set(strike_times)))
 
 
 def _stamp(recording: Recording, time: float) -> int:
@@ -126,43 +186,15 @@ def _stamp(recording: Recording, time: float) -> int:
     return start_ns + round(time * NANOSECONDS)
 
 
-def orientation_of(info: RunInfo | None) -> Array:
-    """Quaternion of the imu in the rear frame, the identity when nobody says."""
-    if info is not None and np.isfinite(info.imu_orientation).all():
-        return info.imu_orientation
-    return quaternion(0.0, 0.0, 0.0)
+def _every(times: NDArray[np.int64]) -> int:
+    """Samples between two reports of the progress."""
+    return max(len(times) // 100, 1)
 
 
-def feed(online: OnlineFit, recording: Recording, progress: Progress | None = None) -> None:
-    """Give all samples of a recording to `online`, in time order, and finish it."""
-    times, kinds, rows = _merged(recording)
-    imu, speed, torque, flags = recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw
-    every = max(len(times) // 100, 1)
-    for number, (time_ns, kind, row) in enumerate(
-        zip(
-            tqdm(times.tolist(), desc="fit", unit=" samples", leave=False, disable=not sys.stderr.isatty()),
-            kinds.tolist(),
-            rows.tolist(),
-            strict=True,
-        )
-    ):
-        if progress is not None and number % every == 0:
-            progress(number / len(times), online.strike_count)
-        if kind == 3:
-            online.add_imu(time_ns, imu.angular_velocity[row], imu.angular_velocity_variance)
-        elif kind == 2 and flags is not None:
-            online.add_saturation(time_ns, int(flags.saturation[row]))
-        elif kind == 1 and torque is not None:
-            online.add_steer_torque(time_ns, float(torque.steer_torque[row]))
-        elif speed is not None:
-            online.add_speed(time_ns, float(speed.speed[row]), float(speed.variance[row]))
-    online.finish()
-
-
-def _merged(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _in_time_order(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Times, kinds (0 speed, 1 torque, 2 saturation, 3 imu) and rows of all samples, in time order.
 
-    At equal times in the order of the kinds. Of the saturation only what says something.
+    At equal times in the order of the kinds. Samples without a saturated axis have no flags.
     """
     series = (recording.speed, recording.steer_torque, recording.lean_yaw, recording.imu)
     stamps = [np.asarray(one.time_ns) if one is not None else np.empty(0, np.int64) for one in series]

@@ -12,7 +12,7 @@ from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 from tms_model.resistance import Resistance
 
-from tms_fit.least_squares.censoring import saturated
+from tms_fit.gyroscopes import saturated
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import SpeedProfile
 

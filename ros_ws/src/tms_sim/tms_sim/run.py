@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tms_bag import Record, conversion
+from tms_bag import Record, Recording, conversion
 from tms_bag.event import Event, event_records
 from tms_bag.record import arriving, merged
 from tms_bag.samples import (
@@ -86,6 +87,20 @@ class SimulatedRun:
             yield conversion.imu_records(self.oriented)
         if self.magnetic is not None:
             yield conversion.magnetic_records(self.magnetic)
+
+    def recording(self) -> Recording:
+        """The samples as a recording; faults are in the messages only."""
+        return Recording(
+            path=Path(self.info.source or "simulated run"),
+            imu=self.imu,
+            speed=self.speed,
+            steer_torque=self.steer_torque,
+            lean_yaw=self.lean_yaw,
+            state=self.state,
+            run_info=self.info,
+            start_ns=self.info.start_ns,
+            custom_data=self.custom_data(),
+        )
 
     def custom_data(self) -> dict[str, str]:
         """What made the run, for the metadata of a bag."""

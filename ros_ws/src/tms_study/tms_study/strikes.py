@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from tms_fit.recording_fit import feed
+from tms_fit.recording_fit import fit_recording
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit, StrikeFit
+from tms_fit.strike_fit import StrikeFit
 from tms_fit.strikes.detector import StrikeDetector
 from tms_model import LinearSystem, linear_system, load_bicycle, response
 from tms_model.bicycle import Array
@@ -145,12 +145,9 @@ def _run(case: Case, rng: np.random.Generator) -> SimulatedRun:
     return replace(run, imu=replace(run.imu, angular_velocity=clipped))
 
 
-def _fits(run: SimulatedRun) -> list[StrikeFit]:
+def _fits(run: SimulatedRun) -> tuple[StrikeFit, ...]:
     settings = Settings(estimators=("least_squares",), noise="white")
-    bicycle = load_bicycle(run.info.bicycle)
-    online = OnlineFit(bicycle, settings, run.info.imu_orientation, run.info.speed, running_filter=False)
-    feed(online, run)  # type: ignore[arg-type]  # it has what a recording has
-    return [one for one in online.results() if isinstance(one, StrikeFit)]
+    return fit_recording(run.recording(), load_bicycle(run.info.bicycle), settings).strikes
 
 
 def _true_ends(run: SimulatedRun, offset: float) -> list[float]:

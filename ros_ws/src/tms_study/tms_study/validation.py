@@ -16,10 +16,9 @@ from tms_fit.estimators.least_squares import fit_window
 from tms_fit.kalman.batch import filter_batch, smooth_start
 from tms_fit.kalman.state_space import bicycle_space
 from tms_fit.parameters import DEFAULT_FREE
-from tms_fit.recording_fit import feed, orientation_of
+from tms_fit.recording_fit import fit_recording
 from tms_fit.response.prediction import predictor
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit, StrikeFit
 from tms_fit.window import Window
 from tms_model import linear_system, load_bicycle
 from tms_model.bicycle import Array
@@ -202,11 +201,7 @@ def _pipeline(rng: np.random.Generator, runs: int) -> list[Finding]:
         scenario = load_scenario("tms_strike", changes)
         run = simulate(scenario, np.random.default_rng(scenario.integer("seed")))
         settings = replace(SETTINGS, free=None)
-        online = OnlineFit(
-            load_bicycle(trials.BICYCLE), settings, orientation_of(run.info), running_filter=False
-        )
-        feed(online, run)  # type: ignore[arg-type]  # it has what a recording has
-        strikes = [one for one in online.results() if isinstance(one, StrikeFit)]
+        strikes = fit_recording(run.recording(), load_bicycle(trials.BICYCLE), settings).strikes
         missed += len(strikes) != 1
         if strikes:
             estimate = strikes[0].estimates[0]

@@ -1,62 +1,72 @@
-"""What else can be said of a strike: residuals, rival hypotheses, error budget; JSON and text."""
+"""Diagnostics of one strike as JSON and text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from tms_fit.diagnostics.error_budget import Budget, error_budget
 from tms_fit.diagnostics.hypothesis_tests import HypothesisTest, run_hypothesis_tests
+from tms_fit.diagnostics.misspecification import Misspecification
 from tms_fit.diagnostics.residual_tests import diagnose_residuals
 from tms_fit.diagnostics.stated_noise import StatedNoise
 from tms_fit.estimate import Estimate
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import StrikeFit
 from tms_fit.window import Window
 
 
-def scrutiny_json(fit: StrikeFit, settings: Settings, asked: Collection[str]) -> dict[str, Any]:
-    """What makes the first estimate doubtful, and what is asked, by name; null: nothing to say."""
-    about = fit.doubt
-    found: dict[str, Any] = {
-        "doubt": {"parameter": about.parameter or None, "sentence": about.sentence} if about else None
-    }
+def diagnostics_json(
+    window: Window | None,
+    estimates: Sequence[Estimate],
+    misspecification: Misspecification | None,
+    settings: Settings,
+    asked: Collection[str],
+) -> dict[str, Any]:
+    """Misspecification of the first estimate, and the diagnostics asked for, by name; null: none."""
+    found: dict[str, Any] = {"doubt": None}
+    if misspecification:
+        parameter = misspecification.parameter or None
+        found["doubt"] = {"parameter": parameter, "sentence": misspecification.sentence}
     if "hypotheses" in asked:
-        told = run_hypothesis_tests(fit.window, settings) if fit.window else ()
-        found["hypotheses"] = [_verdict(one) for one in told]
+        tests = run_hypothesis_tests(window, settings) if window else ()
+        found["hypotheses"] = [_hypothesis_test(one) for one in tests]
     if "budget" in asked:
-        budget = _budget_of(fit, settings)
+        budget = _error_budget(window, estimates, settings)
         found["error_budget"] = _budget(budget) if budget else None
     return found
 
 
-def scrutiny_lines(
-    fit: StrikeFit, settings: Settings, asked: Collection[str], stated: StatedNoise | None
+def diagnostics_lines(
+    window: Window | None,
+    estimates: Sequence[Estimate],
+    misspecification: Misspecification | None,
+    settings: Settings,
+    asked: Collection[str],
+    stated: StatedNoise | None,
 ) -> list[str]:
-    """The same as lines of text, and how large the residuals are for the noise that somebody states."""
+    """The same as lines of text, and the size of the residuals compared with the stated noise."""
     lines: list[str] = []
-    if fit.window is None:
+    if window is None:
         return lines
-    if fit.estimates[0].chosen:
-        lines.append(f"chosen: {'; '.join(fit.estimates[0].chosen)}")
-    about = fit.doubt
-    if about:
-        lines.append(about.sentence)
-    criticism = diagnose_residuals(fit.window, fit.estimates[0], stated)
-    if fit.estimates[0].names:
-        lines.append(criticism.size)
+    if estimates[0].chosen:
+        lines.append(f"chosen: {'; '.join(estimates[0].chosen)}")
+    if misspecification:
+        lines.append(misspecification.sentence)
+    residuals = diagnose_residuals(window, estimates[0], stated)
+    if estimates[0].names:
+        lines.append(residuals.size)
     if "hypotheses" in asked:
-        lines.append(criticism.verdict)
-        lines.extend(verdict.sentence for verdict in run_hypothesis_tests(fit.window, settings))
-    budget = _budget_of(fit, settings) if "budget" in asked else None
+        lines.append(residuals.verdict)
+        lines.extend(test.sentence for test in run_hypothesis_tests(window, settings))
+    budget = _error_budget(window, estimates, settings) if "budget" in asked else None
     if budget:
         lines.extend(_budget_lines(budget))
     return lines
 
 
-def criticism_json(window: Window, estimate: Estimate, stated: StatedNoise | None) -> dict[str, Any]:
-    """What the residuals say about the model."""
+def residual_tests_json(window: Window, estimate: Estimate, stated: StatedNoise | None) -> dict[str, Any]:
+    """Tests of the residuals of one estimate."""
     found = diagnose_residuals(window, estimate, stated)
     return {
         "verdict": found.verdict,
@@ -77,8 +87,8 @@ def criticism_json(window: Window, estimate: Estimate, stated: StatedNoise | Non
     }
 
 
-def _verdict(one: HypothesisTest) -> dict[str, Any]:
-    """One hypothesis; null where the data say nothing."""
+def _hypothesis_test(one: HypothesisTest) -> dict[str, Any]:
+    """One hypothesis; null where the data can't decide."""
     figures = {
         "value": one.value,
         "std": one.std,
@@ -97,10 +107,11 @@ def _verdict(one: HypothesisTest) -> dict[str, Any]:
     }
 
 
-def _budget_of(fit: StrikeFit, settings: Settings) -> Budget | None:
-    for estimate in fit.estimates:
-        if fit.window is not None and estimate.estimator == "least_squares":
-            return error_budget(fit.window, settings, estimate)
+def _error_budget(window: Window | None, estimates: Sequence[Estimate], settings: Settings) -> Budget | None:
+    """Error budget of the least-squares estimate; None where there is none."""
+    for estimate in estimates:
+        if window is not None and estimate.estimator == "least_squares":
+            return error_budget(window, settings, estimate)
     return None
 
 
@@ -109,7 +120,7 @@ def _number(value: float) -> float | None:
 
 
 def _budget(budget: Budget) -> dict[str, Any]:
-    """Statistical and model error of the initial lean rate, and what each thing taken as known has in it."""
+    """Statistical and model error of the initial lean rate, and the contribution of each known value."""
     return {
         "initial_lean_rate": budget.value,
         "statistical_std": budget.statistical,

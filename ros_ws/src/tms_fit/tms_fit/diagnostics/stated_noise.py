@@ -10,8 +10,8 @@ from tms_bag import Recording
 from tms_model.bicycle import Array
 from tms_model.frames import flip_axes, rotation_matrix
 
+from tms_fit.gyroscopes import orientation_of
 from tms_fit.parameters import CHANNELS
-from tms_fit.recording_fit import orientation_of
 from tms_fit.settings import Settings
 
 

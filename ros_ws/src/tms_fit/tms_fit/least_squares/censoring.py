@@ -14,14 +14,6 @@ import numpy as np
 from scipy.special import log_ndtr
 from tms_model.bicycle import Array
 
-CLOSE = 1.0 - 1e-6  # of the range, from which on a reading is at its limit
-
-
-def saturated(rates: Array, full_range: float) -> Array:
-    """Signs (n, ...) of the limit that readings [rad/s] stand at, zero where they stand at none."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(rates) >= CLOSE * full_range, np.sign(rates), 0.0)
-
 
 def working(limit: Array, sign: Array, predicted: Array, std: float) -> Array:
     """Working rates (m,) [rad/s] beyond their limits, sign +1: above, -1: below; noise std [rad/s]."""

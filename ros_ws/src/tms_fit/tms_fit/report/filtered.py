@@ -7,8 +7,9 @@ from scipy.stats import chi2
 from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.comparison import Comparison
+from tms_fit.gyroscopes import orientation_of
 from tms_fit.kalman.running_filter import FilterStep, RunningFilter
-from tms_fit.recording_fit import RecordingFit, orientation_of
+from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import Columns
 from tms_fit.report.datasets import column
 

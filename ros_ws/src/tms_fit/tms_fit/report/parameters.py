@@ -5,7 +5,7 @@ from __future__ import annotations
 from tms_fit.estimate import Estimate
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
-from tms_fit.streaming.online import StrikeFit
+from tms_fit.strike_fit import StrikeFit
 
 UNITS = {
     "initial_lean": "rad",

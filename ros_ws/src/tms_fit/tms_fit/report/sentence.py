@@ -8,7 +8,7 @@ from tms_fit.least_squares.make_estimate import COLOURED
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.element import Element, element
 from tms_fit.report.rounding import as_sentence, decimals, fixed, number
-from tms_fit.streaming.online import StrikeFit
+from tms_fit.strike_fit import StrikeFit
 
 NAME = "initial_lean_rate"
 

@@ -10,7 +10,8 @@ from tms_bag.samples import LeanYawSamples
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
-from tms_fit.recording_fit import RecordingFit, first_stamp, orientation_of
+from tms_fit.gyroscopes import orientation_of
+from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.chart import Columns
 from tms_fit.report.charts.timeline import timeline_chart
 from tms_fit.report.datasets import column

@@ -1,1 +1,1 @@
-"""Samples as they come: live, replayed and offline go through the same classes."""
+"""Synchronisation, strike tracking and live fits of samples in the order of their arrival."""

@@ -14,11 +14,12 @@ from tms_bag.samples import RunInfo
 from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
+from tms_fit.gyroscopes import orientation_of
 from tms_fit.kalman.extended_filter import SLOW
 from tms_fit.messages import estimate_records, filter_state_record
-from tms_fit.recording_fit import orientation_of, stated_bicycle
+from tms_fit.run_info import stated_bicycle
 from tms_fit.settings import Settings
-from tms_fit.streaming.online import OnlineFit
+from tms_fit.streaming.live_run import LiveRun
 from tms_fit.strike_fit import StrikeFit
 
 INPUTS = (
@@ -50,7 +51,7 @@ class LiveFit:
         reorder_window: float = REORDER_WINDOW,
         preview_period: float = PREVIEW_PERIOD,
     ) -> None:
-        """See `OnlineFit` for reorder_window and preview_period [s]; without a bicycle run_info names it."""
+        """See `LiveRun` for reorder_window and preview_period [s]; without a bicycle run_info names it."""
         self.settings = settings
         self._reorder_window, self._preview_period = reorder_window, preview_period
         check_names(settings.estimators)
@@ -58,10 +59,10 @@ class LiveFit:
         self._announced: Bicycle | None = None  # by run_info, which may have no file opened
         self.counts: Counter[str] = Counter()
         self._info: RunInfo | None = None
-        self._online: OnlineFit | None = None
+        self._run: LiveRun | None = None
         self._held: deque[tuple[str, Record]] = deque(maxlen=MOST_HELD)
-        self._strikes: deque[tuple[OnlineFit, StrikeFit]] = deque(maxlen=MOST_STRIKES)
-        self._runs: deque[OnlineFit] = deque()  # that have ended, the latest ones
+        self._strikes: deque[tuple[LiveRun, StrikeFit]] = deque(maxlen=MOST_STRIKES)
+        self._runs: deque[LiveRun] = deque()  # that have ended, the latest ones
         self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
         self._newest_ns = 0
 
@@ -71,7 +72,7 @@ class LiveFit:
         record = Record(f"/{topic}", topics.TYPES[topic], 0, data)
         if topic == topics.RUN_INFO:
             return self._announce(conversion.run_info(record))
-        if self._online is None:
+        if self._run is None:
             self.counts["forgotten"] += len(self._held) == MOST_HELD
             self._held.append((topic, record))
             waited = self._given and sum(kind == topics.IMU for kind, _ in self._held) > WAIT_FOR_RUN_INFO
@@ -81,9 +82,9 @@ class LiveFit:
 
     def finish(self) -> list[Record]:
         """No more samples for now: fit what is open, and begin anew with the next sample."""
-        if self._online is None:
+        if self._run is None:
             return self._begin() + self.finish() if self._given and self._held else []
-        self._online.finish()
+        self._run.finish()
         answers = self._answers()
         self._restart()
         return answers
@@ -102,7 +103,7 @@ class LiveFit:
         return online.refit(fit, load_bicycle(bicycle) if bicycle else online.bicycle, settings)
 
     def _announce(self, info: RunInfo) -> list[Record]:
-        answers = self.finish() if self._online is not None and self._newest_ns else []
+        answers = self.finish() if self._run is not None and self._newest_ns else []
         self._info, self._announced = info, None
         try:
             self._announced = stated_bicycle(info)
@@ -113,7 +114,7 @@ class LiveFit:
 
     def _begin(self) -> list[Record]:
         self._restart()
-        if self._online is None:
+        if self._run is None:
             return []
         while self._held:
             self._add(*self._held.popleft())
@@ -128,12 +129,12 @@ class LiveFit:
     @property
     def diagnostics(self) -> dict[str, int]:
         """What came, and what was left out and why."""
-        return dict(self.counts + self._online.counts if self._online else self.counts)
+        return dict(self.counts + self._run.counts if self._run else self.counts)
 
     @property
     def slow_states(self) -> dict[str, str]:
         """What the extended filter says now of biases, speed and C_r, with standard deviations, SI units."""
-        step = self._online.last_step if self._online else None
+        step = self._run.last_step if self._run else None
         if step is None or step.slow is None or step.slow_covariance is None:
             return {}
         std = np.sqrt(np.diag(step.slow_covariance))
@@ -142,18 +143,18 @@ class LiveFit:
         }
 
     def _restart(self) -> None:
-        if self._online is not None:
-            self.counts.update(self._online.counts)
+        if self._run is not None:
+            self.counts.update(self._run.counts)
             if self._newest_ns:
-                self._runs.append(self._online)
+                self._runs.append(self._run)
             if len(self._runs) > MOST_RUNS:
                 self._runs.popleft().forget()
         bicycle = self._given or self._announced
         self._newest_ns = 0
-        self._online = None
+        self._run = None
         if bicycle:
             speed = self._info.speed if self._info else float("nan")
-            self._online = OnlineFit(
+            self._run = LiveRun(
                 bicycle,
                 self.settings,
                 orientation_of(self._info),
@@ -163,18 +164,18 @@ class LiveFit:
             )
 
     def _add(self, topic: str, record: Record) -> None:
-        assert self._online is not None
+        assert self._run is not None
         try:
             if topic == topics.IMU:
                 self._add_imu(record)
             elif topic == topics.SPEED:
-                self._online.add_speed(*conversion.speed_reading(record))
+                self._run.add_speed(*conversion.speed_reading(record))
             elif topic == topics.SPEED_COVARIANCE:
-                self._online.add_speed(*conversion.speed_covariance_reading(record))
+                self._run.add_speed(*conversion.speed_covariance_reading(record))
             elif topic == topics.LEAN_YAW:
-                self._online.add_saturation(*conversion.saturation_reading(record))
+                self._run.add_saturation(*conversion.saturation_reading(record))
             else:
-                self._online.add_steer_torque(*conversion.steer_torque_reading(record))
+                self._run.add_steer_torque(*conversion.steer_torque_reading(record))
         except RecordingError:
             self.counts["unreadable"] += 1
 
@@ -182,24 +183,24 @@ class LiveFit:
         time_ns, angular_velocity, variance = conversion.imu_reading(record)
         if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
             self.counts["jumps_back"] += 1
-            assert self._online is not None
-            self._online.finish()
+            assert self._run is not None
+            self._run.finish()
             self._pending = self._answers()
             self._restart()
         elif self._newest_ns and time_ns > self._newest_ns + GAP:
             self.counts["gaps"] += 1
         self._newest_ns = max(self._newest_ns, time_ns)
-        assert self._online is not None
-        self._online.add_imu(time_ns, angular_velocity, variance)
+        assert self._run is not None
+        self._run.add_imu(time_ns, angular_velocity, variance)
 
     def _answers(self) -> list[Record]:
-        assert self._online is not None
+        assert self._run is not None
         answers, self._pending = self._pending, []
-        for result in self._online.results():
+        for result in self._run.results():
             if isinstance(result, StrikeFit):
                 if result.final:
                     self.counts["strikes"] += 1
-                    self._strikes.append((self._online, result))
+                    self._strikes.append((self._run, result))
                 answers.extend(estimate_records(result))
             else:
                 answers.append(filter_state_record(result))

@@ -1,8 +1,8 @@
-"""IMU samples in the order of their stamps, each with the speed and the steer torque of its time.
+"""Synchronisation of IMU, speed and steer-torque samples by their stamps.
 
-What comes out depends on the samples and their stamps alone, not on the order in which they come, as long as
-an IMU sample is no later than the reorder window: it waits that long for earlier ones, and until speed and
-steer torque are known up to its time, or are late by more than `PATIENCE`.
+The output depends on the samples and their stamps alone, not on the order of their arrival, as long as no IMU
+sample is later than the reorder window: each waits that long for earlier ones, and until speed and steer
+torque are known up to its time, or are late by more than `LONGEST_WAIT_NS`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ import numpy as np
 from tms_bag.samples import IntArray
 from tms_model.bicycle import Array
 
-from tms_fit.streaming.gyroscopes import FLAGS, Gyroscopes, Vector
+from tms_fit.gyroscopes import FLAGS, Flags, Gyroscopes, Vector
 from tms_fit.strikes.strike import NANOSECONDS
 
 Reading = tuple[int, Vector, Vector]  # stamp, angular velocity in imu axes, variance
-MOST_FLAGS = 1000  # that wait for their IMU sample
-PATIENCE = NANOSECONDS // 2  # [ns], how long an IMU sample waits for a speed or a torque
+WAITING_FLAGS_LIMIT = 1000  # flags that wait for their IMU sample
+NOT_FLAGGED: Flags = (False, False, False)
+LONGEST_WAIT_NS = NANOSECONDS // 2  # [ns] that an IMU sample waits for a speed or a torque
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sample:
-    """One IMU sample and what is known of its time."""
+    """One IMU sample with the speed and the steer torque of its time."""
 
     time_ns: int
     angular_velocity: Vector  # [rad/s], SAE axes of the rear frame; NaN: absent
@@ -36,11 +37,11 @@ class Sample:
     steer_torque: float  # [N m], NaN: unknown
     unsaturated: Vector  # angular_velocity, NaN where an axis of the sensor at its limit enters
     speed_ns: int | None = None  # when the speed was measured; None: it was not
-    flags: int = 0  # of tms_msgs/LeanYaw: axes of the gyroscopes that somebody marked as at their limit
+    flagged: Flags = NOT_FLAGGED  # axes of angular_velocity that an axis marked as saturated enters
 
 
 class Series:
-    """Samples of one slow topic; of those with the same stamp the first that came, or that has a variance."""
+    """Samples of one slow topic; of those with the same stamp the first one, or the one with a variance."""
 
     def __init__(self) -> None:
         self.time: list[int] = []
@@ -75,34 +76,34 @@ class Series:
             np.array(self.variance[since], dtype=float),
         )
 
-    def forget(self, before_ns: int) -> None:
-        """Drop what no longer matters after a time."""
+    def discard(self, before_ns: int) -> None:
+        """Discard values that hold before a time only."""
         index = bisect_right(self.time, before_ns) - 1  # keeps the one that holds at before_ns
         if index > 1000:
             del self.time[:index], self.value[:index], self.variance[:index]
 
 
 class SampleSynchronizer:
-    """Takes samples of all topics as they arrive, gives complete ones in the order of their stamps."""
+    """Samples of all topics in, complete samples out in the order of their stamps."""
 
     def __init__(
         self, gyroscopes: Gyroscopes, reorder_window: float, fixed_speed: float | None = None
     ) -> None:
         """reorder_window [s]: longest that an IMU sample may come after a later one; fixed_speed [m/s]."""
         self.speed, self.steer_torque = Series(), Series()
-        self.counts: Counter[str] = Counter()  # of IMU samples left out: repeated, late; and saturated ones
+        self.counts: Counter[str] = Counter()  # IMU samples left out: repeated, late; and saturated ones
         self._gyroscopes = gyroscopes
         self._reorder_ns = round(reorder_window * NANOSECONDS)
         self._fixed_speed = fixed_speed
         self._waiting: list[Reading] = []
-        self._flags: dict[int, int] = {}  # by stamp, of samples that are still to be given
+        self._flags: dict[int, int] = {}  # by stamp, of samples that are still to be released
         self._first_ns: int | None = None
-        self._given_ns: int | None = None  # stamp of the last sample given
+        self._released_ns: int | None = None  # stamp of the last sample released
 
     def add_imu(self, time_ns: int, angular_velocity: Vector, variance: Vector) -> None:
         """Gyroscopes [rad/s] in imu axes and their variances; see Sample."""
-        if self._given_ns is not None and time_ns <= self._given_ns:
-            self.counts["repeated" if time_ns == self._given_ns else "late"] += 1
+        if self._released_ns is not None and time_ns <= self._released_ns:
+            self.counts["repeated" if time_ns == self._released_ns else "late"] += 1
             return
         reading, waiting = (time_ns, angular_velocity, variance), self._waiting
         if not waiting or time_ns > waiting[-1][0]:
@@ -119,27 +120,32 @@ class SampleSynchronizer:
     def add_flags(self, time_ns: int, flags: int) -> None:
         """Axes of the gyroscopes at their limit in the IMU sample of this stamp, flags of tms_msgs/LeanYaw.
 
-        Those of a sample that has been given are late: they change nothing, and are counted.
+        Flags of a sample that has been released are late: counted, without effect.
         """
         flags &= FLAGS
         if not flags:
             return
-        if self._given_ns is not None and time_ns <= self._given_ns:
+        if self._released_ns is not None and time_ns <= self._released_ns:
             self.counts["late_flags"] += 1
             return
-        if len(self._flags) >= MOST_FLAGS:  # of samples that never came
+        if len(self._flags) >= WAITING_FLAGS_LIMIT:  # of samples that never came
             self.counts["late_flags"] += 1
             del self._flags[min(self._flags)]
         self._flags[time_ns] = self._flags.get(time_ns, 0) | flags
 
     def ready(self, finished: bool = False) -> Iterator[Sample]:
-        """The samples that are complete; all that wait if no more will come."""
+        """Complete samples, in time order; all that wait if the input has ended."""
         while self._waiting and (finished or self._complete(self._waiting[0][0])):
-            yield self._give(*self._waiting.pop(0))
+            yield self._release(*self._waiting.pop(0))
 
-    def _give(self, time_ns: int, rates: Vector, variance: Vector) -> Sample:
-        """A reading with what is known of its time."""
-        self._given_ns = time_ns
+    def discard(self, before_ns: int) -> None:
+        """Discard speeds and torques that hold before a time only."""
+        self.speed.discard(before_ns)
+        self.steer_torque.discard(before_ns)
+
+    def _release(self, time_ns: int, rates: Vector, variance: Vector) -> Sample:
+        """A reading with the speed and the torque of its time."""
+        self._released_ns = time_ns
         flags = self._flags.pop(time_ns, 0) if self._flags else 0
         turned = self._gyroscopes.in_rear_frame(rates)
         unsaturated = self._gyroscopes.unsaturated(rates, flags)
@@ -156,7 +162,7 @@ class SampleSynchronizer:
             steer_torque=self.steer_torque.at(time_ns)[0],
             unsaturated=turned if unsaturated is None else unsaturated,
             speed_ns=speed_ns,
-            flags=flags,
+            flagged=self._gyroscopes.flagged(flags) if flags else NOT_FLAGGED,
         )
 
     def _complete(self, time_ns: int) -> bool:
@@ -164,10 +170,10 @@ class SampleSynchronizer:
         newest = self._waiting[-1][0]
         if newest < time_ns + self._reorder_ns:
             return False
-        if newest >= time_ns + PATIENCE:
+        if newest >= time_ns + LONGEST_WAIT_NS:
             return True
         # Which topics there are shows in the first half second.
-        starting = time_ns < self._first_ns + PATIENCE
+        starting = time_ns < self._first_ns + LONGEST_WAIT_NS
         speed, torque = self.speed.time, self.steer_torque.time
         return (speed[-1] >= time_ns if speed else not starting) and (
             torque[-1] >= time_ns if torque else not starting
