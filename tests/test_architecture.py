@@ -12,6 +12,7 @@ import types
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Collection
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -74,16 +75,20 @@ def nodes_of(path: Path) -> tuple[ast.AST, ...]:
 @cache
 def imported(path: Path) -> tuple[str, ...]:
     """Full names of all modules that a file imports, at its top or inside a function."""
-    own = path.relative_to(SOURCES / package_of(path)).with_suffix("").parts
     names: list[str] = []
     for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names += (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level:
-            names.append(".".join((*own[: len(own) - node.level], *(node.module or "").split("."))))
         elif isinstance(node, ast.ImportFrom):
-            names.append(node.module or "")
+            names.append(source_of(node, path))
     return tuple(names)
+
+
+def source_of(node: ast.ImportFrom, path: Path) -> str:
+    """Full name of the module that a from-import in a file takes names from."""
+    own = path.relative_to(SOURCES / package_of(path)).with_suffix("").parts
+    above = own[: len(own) - node.level] if node.level else ()
+    return ".".join((*above, *(node.module or "").split(".")))
 
 
 def offenders(offences: Callable[[Path], Collection[str]]) -> dict[str, Collection[str]]:
@@ -110,6 +115,55 @@ def test_imports_point_one_way() -> None:
         return ours - {package_of(path)} - MAY_IMPORT[package_of(path)]
 
     assert offenders(forbidden) == {}
+
+
+Dotted = tuple[str, ...]  # parts of a module's full name, __init__ among them
+
+
+def inside(path: Path, known: Collection[Dotted]) -> set[Dotted]:
+    """Modules of `known` that a file imports, at its top, inside a function or for its types."""
+    found: set[Dotted] = set()
+    for node in nodes_of(path):
+        if isinstance(node, ast.Import):
+            candidates = [(alias.name,) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):  # of `from a import b`, b is a module or a name in a
+            source = source_of(node, path)
+            candidates = [(f"{source}.{alias.name}", source) for alias in node.names]
+        else:
+            continue
+        for names in candidates:
+            parts = [tuple(name.split(".")) for name in names]
+            found |= set([one for part in parts for one in (part, (*part, "__init__")) if one in known][:1])
+    return found
+
+
+def import_graphs(package: str) -> dict[Dotted, dict[str, set[str]]]:
+    """By folder: what each module and sub-folder in it, with all that it holds, imports of the others."""
+    modules = {
+        path.relative_to(SOURCES / package).with_suffix("").parts: path
+        for path in MODULES
+        if package_of(path) == package
+    }
+    graphs: dict[Dotted, dict[str, set[str]]] = {}
+    for name, path in modules.items():
+        if name == (package, "__init__"):  # re-exports the public API
+            continue
+        for other in inside(path, modules) - {name}:
+            depth = next(k for k, (mine, its) in enumerate(zip(name, other, strict=False)) if mine != its)
+            graphs.setdefault(name[:depth], {}).setdefault(name[depth], set()).add(other[depth])
+    return graphs
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_import_runs_back_up(package: str) -> None:
+    # Modules and sub-folders of a folder can be listed so that each imports only what stands before it.
+    graphs = import_graphs(package)
+    assert graphs
+    for folder, graph in graphs.items():
+        try:
+            TopologicalSorter(graph).prepare()
+        except CycleError as error:
+            pytest.fail(f"{'.'.join(folder)}: {' <- '.join(error.args[1])}")
 
 
 def test_only_nodes_know_ros() -> None:
