@@ -15,7 +15,7 @@ from measure import Timing, by_processor, in_turn, print_machine
 from numpy.typing import NDArray
 from tms_bag import Record, conversion, topics
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
-from tms_fit.kalman.running_filter import FilterStep
+from tms_fit.kalman.ekf import FilterStep
 from tms_fit.messages import filter_state_record
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_fit import LiveFit

@@ -1,4 +1,4 @@
-"""The filter that estimates speed and rolling resistance: its arithmetic, and whether it is honest."""
+"""Extended Kalman filter with parameter states: Jacobians, consistency, measured speed, strikes and gaps."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from tms_fit.kalman.coasting import MAX_STEP, Coasting
-from tms_fit.kalman.extended_filter import RESISTANCE, SIZE, SPEED, ExtendedFilter, InitialState, ProcessNoise
-from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FilterStep, RunningFilter
-from tms_fit.kalman.transitions import TransitionCache
+from tms_fit.kalman.coasting import MAX_STEP_S, Coasting
+from tms_fit.kalman.ekf import (
+    GIVEN_SPEED_NOISE,
+    ROLLING_RESISTANCE,
+    SPEED,
+    ExtendedKalmanFilter,
+    FilterStep,
+    InitialState,
+    ProcessNoise,
+)
+from tms_fit.kalman.transition_cache import TransitionCache
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_run import LiveRun
 from tms_model import ParameterError, bicycle_names, linear_system, load_bicycle
@@ -20,16 +27,18 @@ from tms_model.varying_speed import varying_system
 NOISE = 0.02  # [rad/s]
 STEP_NS = 10_000_000
 UNKNOWN = np.full(3, np.nan)
-STILL = ProcessNoise(ACCELERATION_NOISE, bias=0.0, speed=0.0, rolling_resistance=0.0)
-CERTAIN = InitialState(bias_std=0.0, speed_share=0.0, rolling_resistance=0.0, rolling_resistance_std=0.0)
+STILL = ProcessNoise(GIVEN_SPEED_NOISE.acceleration, bias=0.0, speed=0.0, rolling_resistance=0.0)
+CERTAIN = InitialState(
+    bias_std=0.0, relative_speed_std=0.0, rolling_resistance=0.0, rolling_resistance_std=0.0
+)
 
 
 @pytest.mark.parametrize("name", bicycle_names())
 def test_at_constant_speed_the_transition_is_the_exponential(name: str) -> None:
     bicycle = load_bicycle(name)
     system = linear_system(bicycle, 4.0)
-    step = Coasting(bicycle).step(MAX_STEP, 4.0, 0.0)
-    exact = scipy.linalg.expm(system.a * MAX_STEP)
+    step = Coasting(bicycle).step(MAX_STEP_S, 4.0, 0.0)
+    exact = scipy.linalg.expm(system.a * MAX_STEP_S)
     np.testing.assert_allclose(
         step.transition[:4, :4], exact, rtol=0.0, atol=1e-14 * np.linalg.norm(exact, 1)
     )
@@ -40,10 +49,10 @@ def test_at_constant_speed_the_transition_is_the_exponential(name: str) -> None:
 def test_the_transition_while_the_speed_falls(name: str) -> None:
     bicycle = load_bicycle(name)
     coasting = Coasting(bicycle)
-    step = coasting.step(MAX_STEP, 4.0, 0.06)
-    assert step.speed == pytest.approx(4.0 - 0.06 * coasting.loss * MAX_STEP, abs=1e-15)
+    step = coasting.step(MAX_STEP_S, 4.0, 0.06)
+    assert step.speed == pytest.approx(4.0 - 0.06 * coasting.loss * MAX_STEP_S, abs=1e-15)
     try:
-        exact = varying_system(bicycle, np.array([0.0, MAX_STEP]), np.array([4.0, step.speed]))
+        exact = varying_system(bicycle, np.array([0.0, MAX_STEP_S]), np.array([4.0, step.speed]))
     except ParameterError as error:  # such a bicycle coasts without the terms in v'
         assert "both wheels to carry weight" in str(error)  # noqa: PT017
         return
@@ -70,9 +79,9 @@ def test_derivatives_of_a_step_in_parts_are_those_of_the_transition(name: str, r
 
 
 def test_the_jacobian_of_the_measurement_is_exact() -> None:
-    running = ExtendedFilter(load_bicycle("tms_eq_10_1"), NOISE)
+    running = ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE, parameter_states=True)
     state = np.array([[0.1, 0.2, -0.3, 0.5, 0.01, -0.02, 3.6, 0.06]]).T
-    columns = [running.measurement(state + 1e-30j * np.eye(SIZE)[:, [k]]).imag / 1e-30 for k in range(SIZE)]
+    columns = [running.measurement(state + 1e-30j * np.eye(8)[:, [k]]).imag / 1e-30 for k in range(8)]
     np.testing.assert_allclose(
         running.measurement_jacobian(state), np.hstack(columns), rtol=1e-14, atol=1e-16
     )
@@ -86,7 +95,10 @@ def test_what_stands_still_goes_on_standing() -> None:
 def test_at_a_constant_known_speed_it_is_the_linear_filter(make_run: Any) -> None:
     run = make_run("tms_strike", strike__time=0.5, duration=2.0)
     bicycle, turned = load_bicycle("tms_eq_10_1"), run.imu.angular_velocity * [1.0, -1.0, -1.0]
-    linear, extended = RunningFilter(bicycle, NOISE), ExtendedFilter(bicycle, NOISE, CERTAIN, STILL)
+    linear, extended = (
+        ExtendedKalmanFilter(bicycle, NOISE),
+        ExtendedKalmanFilter(bicycle, NOISE, True, CERTAIN, STILL),
+    )
     for k, stamp in enumerate(run.imu.time_ns.tolist()):
         rates = turned[k] if k % 7 else np.where([True, False, False], turned[k], np.nan)  # some absent
         one, other = (each.step(stamp, rates, UNKNOWN, 3.6, 0.01 * (k % 3)) for each in (linear, extended))
@@ -99,30 +111,32 @@ def test_at_a_constant_known_speed_it_is_the_linear_filter(make_run: Any) -> Non
 
 def drawn(seed: int, count: int = 80) -> tuple[np.ndarray, FilterStep]:
     """True states (8,) of a coasting bicycle, drawn from what the filter expects, and its last step."""
-    rng, first, wandering = (
-        np.random.default_rng(seed),
-        InitialState(strike_std=(0.02, 0.02, 0.3, 1.0)),
-        ProcessNoise(),
-    )
+    rng, process = np.random.default_rng(seed), ProcessNoise()
+    initial = InitialState(strike_std=(0.02, 0.02, 0.3, 1.0))
     bicycle = load_bicycle("tms_eq_10_1")
-    coasting, running = Coasting(bicycle), ExtendedFilter(bicycle, NOISE, first, wandering)
+    coasting, running = Coasting(bicycle), ExtendedKalmanFilter(bicycle, NOISE, True, initial, process)
     running.restart(strike=True)
-    spread = [*first.strike_std, *2 * [first.bias_std], 4.6 * first.speed_share, first.rolling_resistance_std]
-    truth = np.array([0.0] * 6 + [4.6, first.rolling_resistance]) + spread * rng.standard_normal(SIZE)
-    density = np.diag([0.0, 0.0, *np.square(wandering.acceleration)])
-    wander = [*2 * [wandering.bias], wandering.speed, wandering.rolling_resistance]
+    spread = [
+        *initial.strike_std,
+        *2 * [initial.bias_std],
+        4.6 * initial.relative_speed_std,
+        initial.rolling_resistance_std,
+    ]
+    truth = np.array([0.0] * 6 + [4.6, initial.rolling_resistance]) + spread * rng.standard_normal(8)
+    density = np.diag([0.0, 0.0, *np.square(process.acceleration)])
+    wander = [*2 * [process.bias], process.speed, process.rolling_resistance]
     for k in range(count):
         if k:
-            taken = coasting.step(STEP_NS / 1e9, truth[SPEED], truth[RESISTANCE])
+            taken = coasting.step(STEP_NS / 1e9, truth[SPEED], truth[ROLLING_RESISTANCE])
             phi = taken.transition[:4, :4]
-            process = TransitionCache(bicycle, density).at(truth[SPEED], STEP_NS / 1e9)[2]
-            truth[:4] = phi @ truth[:4] + np.linalg.cholesky(process) @ rng.standard_normal(4)
+            disturbance = TransitionCache(bicycle, density).at(truth[SPEED], STEP_NS / 1e9)[2]
+            truth[:4] = phi @ truth[:4] + np.linalg.cholesky(disturbance) @ rng.standard_normal(4)
             truth[SPEED] = taken.speed
             truth[4:] += np.sqrt(STEP_NS / 1e9) * np.array(wander) * rng.standard_normal(4)
         measured = running.measurement(truth[:, None])[:, 0] + NOISE * rng.standard_normal(2)
         lean = 0.0
         if k:  # the filter reads w_z / cos(lean that it predicts), which is undone here
-            before = coasting.step(STEP_NS / 1e9, last.speed, last.slow[3])  # noqa: F821
+            before = coasting.step(STEP_NS / 1e9, last.speed, last.parameters[3])  # noqa: F821
             lean = (before.transition[:4, :4] @ last.state)[0]  # noqa: F821
         gyroscope = np.array([measured[0], np.nan, measured[1] * np.cos(lean)])
         last = running.step((k + 1) * STEP_NS, gyroscope, UNKNOWN, 4.6, 0.0)
@@ -159,13 +173,13 @@ def followed(
     return online, [one for one in online.results() if isinstance(one, FilterStep)]
 
 
-def slow_errors(run: Any, last: FilterStep) -> tuple[np.ndarray, np.ndarray]:
+def parameter_errors(run: Any, last: FilterStep) -> tuple[np.ndarray, np.ndarray]:
     """Errors of speed and C_r at the last step, and their standard deviations."""
-    assert last.slow is not None
-    assert last.slow_covariance is not None
+    assert last.parameters is not None
+    assert last.parameter_covariance is not None
     (row,) = np.flatnonzero(run.state.time_ns == last.time_ns)
-    error = last.slow[2:] - [run.state.speed[row], 0.06]
-    return error, np.sqrt(np.diag(last.slow_covariance)[2:])
+    error = last.parameters[2:] - [run.state.speed[row], 0.06]
+    return error, np.sqrt(np.diag(last.parameter_covariance)[2:])
 
 
 def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_run: Any) -> None:
@@ -176,10 +190,10 @@ def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_ru
     for seed in range(10):
         run = coasting_run(make_run, seed)
         _, steps = followed(run, 4.6 * (1.1 if seed % 2 else 0.9), with_speed=False)
-        error, std = slow_errors(run, steps[-1])
+        error, std = parameter_errors(run, steps[-1])
         assert std[0] < 0.6 * 0.46
         assert std[1] < 0.5 * InitialState().rolling_resistance_std
-        assert steps[-1].speed == steps[-1].slow[2]  # type: ignore[index]
+        assert steps[-1].speed == steps[-1].parameters[2]  # type: ignore[index]
         scaled.append(error / std)
     assert np.mean(np.square(scaled)) < 1.71
     assert np.abs(scaled).max() < 3.0
@@ -190,7 +204,7 @@ def test_a_measured_speed_is_used_once_and_tells_the_rolling_resistance(make_run
     for seed in range(4):
         run = coasting_run(make_run, seed)
         _, steps = followed(run, float("nan"), with_speed=True)
-        error, std = slow_errors(run, steps[-1])
+        error, std = parameter_errors(run, steps[-1])
         scaled.append(error / std)
         # A line through 150 speeds of 0.02 m/s over 3.5 s has a slope known to 1.6 mm/s^2, that is 0.00016 of
         # C_r; what C_r wanders, 0.001 a second, makes it a little less. Used twice, speeds would say more.
@@ -203,7 +217,7 @@ def test_a_strike_leaves_what_was_known_of_speed_and_biases(make_run: Any) -> No
     run = coasting_run(make_run, 1)
     _, steps = followed(run, float("nan"), with_speed=True)
     after = next(k for k, one in enumerate(steps) if one.time_ns > run.info.start_ns + 1_300_000_000)
-    assert steps[after].slow_covariance[3, 3] < 0.5 * steps[0].slow_covariance[3, 3]  # type: ignore[index]
+    assert steps[after].parameter_covariance[3, 3] < 0.5 * steps[0].parameter_covariance[3, 3]  # type: ignore[index]
     late = [one for one in steps if one.time_ns > run.info.start_ns + 1_500_000_000]
     states = run.state.state[np.isin(run.state.time_ns, [one.time_ns for one in late])]
     error = np.array([one.state for one in late]) - states
@@ -228,7 +242,7 @@ def test_saturated_samples_are_counted_and_not_used(make_run: Any, kind: str) ->
 
 
 def test_missing_samples_leave_it_standing_and_less_sure() -> None:
-    running = ExtendedFilter(load_bicycle("tms_eq_10_1"), NOISE)
+    running = ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE, parameter_states=True)
     both = running.step(STEP_NS, np.array([0.1, 0.0, 0.2]), UNKNOWN, 3.6, 0.0)
     none = running.step(2 * STEP_NS, UNKNOWN, UNKNOWN, 3.6, 0.0)
     late = running.step(40 * STEP_NS, np.array([0.1, np.nan, np.nan]), UNKNOWN, 3.6, 0.0)
@@ -247,7 +261,7 @@ def test_what_is_fixed_is_known(make_run: Any) -> None:
     _, steps = followed(run, 4.0, with_speed=True, fixed={"speed": 4.6})
     assert {one.speed for one in steps} == {4.6}
     _, steps = followed(run, 4.6, with_speed=False, fixed={"rolling_resistance": 0.06})
-    assert {one.slow[3] for one in steps} == {0.06}  # type: ignore[index]
+    assert {one.parameters[3] for one in steps} == {0.06}  # type: ignore[index]
 
 
 def test_unknown_filters_are_refused() -> None:

@@ -12,7 +12,7 @@ import pytest
 from tms_bag import BagWriter, Record, conversion, read_recording, topics
 from tms_bag.messages import deserialize
 from tms_bag.samples import RunInfo, SpeedSamples
-from tms_fit.kalman.running_filter import FilterStep, RunningFilter
+from tms_fit.kalman.ekf import ExtendedKalmanFilter, FilterStep
 from tms_fit.messages import estimate_records
 from tms_fit.recording_fit import bicycle_of, fit_recording
 from tms_fit.settings import Settings
@@ -180,7 +180,7 @@ def test_a_torque_acts_from_its_sample_on(make_run: Any) -> None:
     assert run.steer_torque is not None
     run = replace(run, steer_torque=replace(run.steer_torque, steer_torque=torque))
     steps = [one for one in results_of(run, in_order(run)) if isinstance(one, FilterStep)]
-    running = RunningFilter(load_bicycle("delft_sbw"), 0.02)
+    running = ExtendedKalmanFilter(load_bicycle("delft_sbw"), 0.02)
     turned = imu_to_rear_frame(run.imu.angular_velocity, run.info.imu_orientation)
     held = np.concatenate([[0.0], torque[:-1]])
     for k, step in enumerate(steps[:100]):

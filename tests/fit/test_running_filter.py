@@ -1,4 +1,4 @@
-"""The running filter is consistent: it is as sure of itself as it may be."""
+"""Extended Kalman filter without parameter states: consistency, transitions, missing channels, inputs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from tms_fit.kalman.running_filter import ACCELERATION_NOISE, FIRST_STD, FilterStep, RunningFilter
-from tms_fit.kalman.transitions import TransitionCache
+from tms_fit.kalman.ekf import GIVEN_SPEED_NOISE, ExtendedKalmanFilter, FilterStep, InitialState
+from tms_fit.kalman.transition_cache import TransitionCache
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_run import LiveRun
 from tms_model import bicycle_names, discretise, linear_system, load_bicycle, stability, yaw_rate
@@ -30,10 +30,10 @@ def matching_run(bicycle: str, speed: float, count: int, seed: int) -> tuple[np.
     rng = np.random.default_rng(seed)
     system = linear_system(load_bicycle(bicycle), speed)
     phi, _ = discretise(system, STEP_NS / 1e9)
-    density = np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)])
+    density = np.diag([0.0, 0.0, *np.square(GIVEN_SPEED_NOISE.acceleration)])
     process = np.linalg.cholesky(disturbed(system.a, density, STEP_NS / 1e9))
-    state = np.array(FIRST_STD) * rng.standard_normal(4)
-    running = RunningFilter(load_bicycle(bicycle), NOISE)
+    state = np.array(InitialState().state_std) * rng.standard_normal(4)
+    running = ExtendedKalmanFilter(load_bicycle(bicycle), NOISE)
     states, steps = np.empty((count, 4)), []
     for k in range(count):
         if k:
@@ -116,8 +116,8 @@ def test_it_runs_for_every_bicycle(name: str) -> None:
         assert np.linalg.eigvalsh(step.covariance).min() > -1e-12
 
 
-def test_a_gap_makes_it_start_anew() -> None:
-    running = RunningFilter(load_bicycle("tms_eq_10_1"), NOISE)
+def test_a_gap_restarts_the_filter() -> None:
+    running = ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE)
     unknown = np.full(3, np.nan)
     resets = [
         running.step(stamp, np.zeros(3), unknown, 3.6, 0.0).reset
@@ -127,7 +127,7 @@ def test_a_gap_makes_it_start_anew() -> None:
 
 
 def test_absent_channels_are_left_out() -> None:
-    running = RunningFilter(load_bicycle("tms_eq_10_1"), NOISE)
+    running = ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE)
     unknown = np.full(3, np.nan)
     both = running.step(10_000_000, np.array([0.1, 0.0, 0.2]), unknown, 3.6, 0.0)
     lean = running.step(20_000_000, np.array([0.1, np.nan, np.nan]), unknown, 3.6, 0.0)
@@ -142,7 +142,10 @@ def test_absent_channels_are_left_out() -> None:
 
 
 def test_stated_variances_come_before_the_assumed_noise() -> None:
-    first = RunningFilter(load_bicycle("tms_eq_10_1"), NOISE), RunningFilter(load_bicycle("tms_eq_10_1"), 0.3)
+    first = (
+        ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE),
+        ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), 0.3),
+    )
     reading = np.array([0.1, 0.0, 0.2])
     stated = np.full(3, 0.02**2)
     one, other = (running.step(10_000_000, reading, stated, 3.6, 0.0) for running in first)
@@ -156,7 +159,9 @@ def test_known_torque_is_an_input() -> None:
     _, gamma = discretise(linear_system(bicycle, 3.6), 0.01)
     states = []
     for torque in (0.0, 0.1):
-        running = RunningFilter(bicycle, 1e6)  # so noisy a gyroscope that its readings count for nothing
+        running = ExtendedKalmanFilter(
+            bicycle, 1e6
+        )  # so noisy a gyroscope that its readings count for nothing
         for stamp in (10_000_000, 20_000_000):
             state = running.step(stamp, np.zeros(3), np.full(3, np.nan), 3.6, torque).state
         states.append(state)
@@ -170,7 +175,7 @@ def test_yaw_rate_of_a_leaned_bicycle_is_levelled() -> None:
     system = linear_system(bicycle, 3.6)
     state = np.array([0.2, 0.1, 0.0, 0.0])
     turning = float(yaw_rate(system, state[None, :])[0])
-    running = RunningFilter(bicycle, 1e-4)
+    running = ExtendedKalmanFilter(bicycle, 1e-4)
     running.step(10_000_000, np.zeros(3), np.full(3, np.nan), 3.6, 0.0)
     running._kalman.x = state[:, None].copy()
     running._kalman.P = 1e-12 * np.eye(4)
@@ -183,7 +188,7 @@ def test_yaw_rate_of_a_leaned_bicycle_is_levelled() -> None:
 @pytest.mark.parametrize("name", bicycle_names())
 @pytest.mark.parametrize("step", [1e-4, 1e-3, 0.01, 0.1])
 def test_a_step_is_exact_by_another_way(name: str, step: float) -> None:
-    bicycle, density = load_bicycle(name), np.diag([0.0, 0.0, *np.square(ACCELERATION_NOISE)])
+    bicycle, density = load_bicycle(name), np.diag([0.0, 0.0, *np.square(GIVEN_SPEED_NOISE.acceleration)])
     transitions = TransitionCache(bicycle, density)
     for speed in (0.5, 3.6, 9.0):
         system = linear_system(bicycle, speed)

@@ -11,7 +11,7 @@ from tms_bag.reading.one_message import write_numbers
 from tms_bag.record import Record
 
 from tms_fit.estimate import Estimate
-from tms_fit.kalman.running_filter import FilterStep
+from tms_fit.kalman.ekf import FilterStep
 from tms_fit.strike_fit import StrikeFit
 
 ESTIMATE, ESTIMATE_TYPE = "estimate", "tms_msgs/msg/Estimate"

@@ -1,20 +1,20 @@
-"""A bicycle that coasts, over one step: its transition, and how that changes with speed and C_r.
+"""Transition of a coasting bicycle over one step, and its derivatives by speed and rolling resistance.
 
     x' = A(v, v') x + B T,   v' = -C_r g m / m_eff
 
-A is a polynomial, A0 + v A1 + v^2 A2 + K(v'), where K is what a changing speed adds to the stiffness
+A is a polynomial, A0 + v A1 + v^2 A2 + K(v'), where K is the stiffness that a changing speed adds
 (`tms_model.acceleration`). Over a step of h seconds the Magnus expansion to fourth order gives the exponent
 
-    W = h A + h^3 / 24 A'' - h^3 / 12 [A, A'],   A and its derivatives by time at the middle of the step,
+    W = h A + h^3 / 24 A'' - h^3 / 12 [A, A'],   A and its time derivatives at the middle of the step,
 
-and the transition exp W by `tms_model.exponential`: a Taylor series of 16 terms of W / 2^s, s such that the
-1-norm of that is at most 1/2. What the series leaves out is below 0.5^17 / 17! * 1.03 = 2.2e-20 of the norm
-there, and 2^s times as much after squaring, which is far below rounding. The expansion leaves out terms of
-the order h^5 v': below 1e-6 of the transition's norm for every bicycle of the catalogue at h = MAX_STEP and
-C_r = 0.06, 1e-8 for the supplement's, and 2e-6 of the torque's part (a test compares with scipy and with
+and the transition exp W by `tms_model.exponential`: a Taylor series of 16 terms of W / 2^s, with s such that
+its 1-norm is at most 1/2. The truncated terms are below 0.5^17 / 17! * 1.03 = 2.2e-20 of the norm there, and
+2^s times as much after squaring, far below rounding. The terms beyond the expansion are of the order h^5 v':
+below 1e-6 of the transition's norm for every bicycle of the catalogue at h = MAX_STEP_S and C_r = 0.06, 1e-8
+for the supplement's, and 2e-6 of the torque's part (a test compares with scipy and with
 `tms_model.varying_speed`).
 
-Derivatives are those of this very W, by the exponential of [[W, 0], [dW, W]], whose lower left block is the
+Derivatives are those of this W, by the exponential of [[W, 0], [dW, W]], whose lower left block is the
 derivative of exp W along dW (I. Najfeld and T. F. Havel, Adv. Appl. Math. 16 (1995), doi
 10.1006/aama.1995.1017).
 """
@@ -30,43 +30,39 @@ from tms_model.acceleration import acceleration_stiffness, coasting_loss, parame
 from tms_model.bicycle import Array
 from tms_model.exponential import TERMS
 from tms_model.parameters import WhippleParameters
-from tms_model.response import first_order, torque_column
+from tms_model.response import first_order
 
-MAX_STEP = 0.01  # [s]; a longer one is taken in parts
-SLOWEST = 0.1  # [m/s]; what comes to this speed keeps it
-_NODES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of a reach, through which K(v') is laid
+from tms_fit.kalman.transition_cache import speed_polynomial
+
+MAX_STEP_S = 0.01  # [s]; a longer step is divided
+MIN_SPEED = 0.1  # [m/s]; a bicycle that slows down to it keeps it
+_NODES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of the interpolation of K(v'), in units of its range
 _POWERS = np.arange(float(len(_NODES)))
 _ORDERS = np.arange(1.0, TERMS + 1.0)[:, None, None]
-_REACHES = (0.5, 0.05, 0.005)  # [m/s^2]; the longest at which both wheels keep to the ground
+_RANGES = (0.5, 0.05, 0.005)  # [m/s^2] of v'; the widest is used at which both wheels carry weight
 
 
 @dataclass(frozen=True, eq=False)
 class CoastingStep:
-    """State and torque at the end of a step, from those at its begin; derivatives are of the transition."""
+    """Transition of state (4,) and held torque [N m] over a step, and its derivatives."""
 
-    transition: Array  # (5, 5): state (4,) and the torque [N m], which is held
-    by_speed: Array  # (5, 5), per m/s
+    transition: Array  # (5, 5)
+    by_speed: Array  # (5, 5), per m/s at the beginning
     by_resistance: Array  # (5, 5), per unit of C_r
     speed: float  # [m/s] at the end
     speed_by_resistance: float  # [m/s] per unit of C_r
 
 
 class Coasting:
-    """The steps of one bicycle."""
+    """Coasting steps of one bicycle."""
 
     def __init__(self, bicycle: Bicycle) -> None:
-        """A bicycle given by matrices only takes the terms in v' from its stand-in, or does without."""
-        mass, size = bicycle.mass, (5, 5)
-        elements = bicycle.steer_elements
-        still, none = bicycle.gravity * bicycle.stiffness0 + elements.stiffness, np.zeros((2, 2))
-        self._constant, self._linear, self._square = (np.zeros(size) for _ in range(3))
-        self._constant[:4, :4] = first_order(mass, elements.damping, still)
-        self._constant[:4, 4] = torque_column(bicycle)
+        """K(v') of a bicycle given by matrices only is that of its stand-in; without one it is zero."""
+        mass, none = bicycle.mass, np.zeros((2, 2))
+        self._constant, self._linear, self._square = speed_polynomial(bicycle)  # A0, A1, A2
         zero = first_order(mass, none, none)
-        self._linear[:4, :4] = first_order(mass, bicycle.damping, none) - zero
-        self._square[:4, :4] = first_order(mass, none, bicycle.stiffness2) - zero
-        self.loss = coasting_loss(bicycle)  # [m/s^2] of speed lost a second, per unit of C_r
-        self._changing = np.zeros((len(_NODES), *size))  # coefficients of K by powers of v', from v'^0 on
+        self.loss = coasting_loss(bicycle)  # g m / m_eff [m/s^2]
+        self._changing = np.zeros((len(_NODES), 5, 5))  # coefficients of K by powers of v', from v'^0 on
         try:
             parameters, _ = parameters_under_acceleration(bicycle)
         except ParameterError:
@@ -75,13 +71,14 @@ class Coasting:
             self._changing[power, :4, :4] = first_order(mass, none, one) - zero
 
     def matrix(self, speed: float, acceleration: float) -> Array:
-        """A(v, v') with the torque as fifth state (5, 5)."""
+        """A(v, v') (5, 5) with the torque as fifth state, at a speed [m/s] and an acceleration [m/s^2]."""
         changing: Array = (acceleration**_POWERS).dot(self._changing.reshape(-1, 25)).reshape(5, 5)
-        return self._constant + speed * (self._linear + speed * self._square) + changing
+        constant_speed: Array = self._constant + speed * (self._linear + speed * self._square)
+        return constant_speed + changing
 
     def step(self, duration: float, speed: float, resistance: float) -> CoastingStep:
-        """A step of some seconds from a speed [m/s] on, slowed down by C_r = `resistance`."""
-        parts = max(1, math.ceil(round(duration / MAX_STEP, 6)))
+        """Step of a duration [s] from a speed [m/s] on, which falls by C_r = `resistance`."""
+        parts = max(1, math.ceil(round(duration / MAX_STEP_S, 6)))
         whole = self._part(duration / parts, speed, resistance)
         for _ in range(1, parts):
             part = self._part(duration / parts, whole.speed, resistance)
@@ -96,8 +93,9 @@ class Coasting:
         return whole
 
     def _part(self, h: float, speed: float, resistance: float) -> CoastingStep:
+        """Step of at most MAX_STEP_S."""
         change, loss = -self.loss * resistance, self.loss
-        if speed + change * h < SLOWEST:
+        if speed + change * h < MIN_SPEED:
             change = loss = 0.0
         middle = speed + 0.5 * h * change
         at, slope = self.matrix(middle, change), self._linear + 2.0 * middle * self._square
@@ -118,7 +116,7 @@ class Coasting:
 
 
 def _exponential(exponent: Array, *directions: Array) -> list[Array]:
-    """exp W (k, k) and its derivatives along some dW: the first columns of the exponential of the module."""
+    """exp W (k, k) and its derivatives along directions dW: the first columns of the block exponential."""
     size, count = len(exponent), len(directions)
     norm = float(np.abs(exponent).sum(axis=0).max())
     squarings = max(0, math.ceil(math.log2(norm)) + 1) if 0.0 < norm < math.inf else 0
@@ -141,17 +139,18 @@ def _exponential(exponent: Array, *directions: Array) -> list[Array]:
 
 
 def _stiffness_polynomial(p: WhippleParameters) -> Array:
-    """Coefficients (5, 2, 2) of K' by powers of v'. It is rational in v', and all but quadratic."""
-    for reach in _REACHES:
+    """Coefficients (5, 2, 2) of the added stiffness by powers of v'; it is rational and nearly quadratic."""
+    for width in _RANGES:
         try:
-            values = acceleration_stiffness(p, reach * _NODES)
+            values = acceleration_stiffness(p, width * _NODES)
         except ParameterError:
             continue
         powers = np.linalg.solve(np.vander(_NODES, increasing=True), values.reshape(len(_NODES), 4))
-        scaled: Array = powers.reshape(-1, 2, 2) / reach ** np.arange(len(_NODES))[:, None, None]
+        scaled: Array = powers.reshape(-1, 2, 2) / width ** np.arange(len(_NODES))[:, None, None]
         return scaled
     return np.zeros((len(_NODES), 2, 2))
 
 
 def _commutator(first: Array, second: Array) -> Array:
+    """[first, second]."""
     return first @ second - second @ first

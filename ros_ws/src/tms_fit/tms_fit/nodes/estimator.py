@@ -94,7 +94,11 @@ class Estimator(Node):
             if self._fit.counts["unknown_bicycle"]:
                 text = "run_info names no bicycle of the catalogue: set the parameter bicycle"
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
-        return text, bool(self._fit.bicycle) and not lost, {**self._counts, **lost, **self._fit.slow_states}
+        return (
+            text,
+            bool(self._fit.bicycle) and not lost,
+            {**self._counts, **lost, **self._fit.parameter_states},
+        )
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

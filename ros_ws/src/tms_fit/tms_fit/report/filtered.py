@@ -8,7 +8,7 @@ from tms_model.frames import imu_to_rear_frame
 
 from tms_fit.comparison import Comparison
 from tms_fit.gyroscopes import orientation_of
-from tms_fit.kalman.running_filter import FilterStep, RunningFilter
+from tms_fit.kalman.ekf import ExtendedKalmanFilter, FilterStep
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import Columns
 from tms_fit.report.datasets import column
@@ -23,7 +23,7 @@ def filter_steps(fit: RecordingFit, both: Comparison) -> list[FilterStep]:
     if both.used.lean_rate_gain:
         held = both.used.lean_rate_gain * np.nan_to_num(np.concatenate([[0.0], both.measured[:-1, 0]]))
     speeds = np.maximum(both.shown.speed.at(both.shown.time), 1e-3)
-    running = RunningFilter(fit.bicycle, fit.settings.gyroscope_noise)
+    running = ExtendedKalmanFilter(fit.bicycle, fit.settings.gyroscope_noise)
     running.restart(strike=True)
     return [
         running.step(int(time_ns), rate, imu.angular_velocity_variance, float(speed), float(known))

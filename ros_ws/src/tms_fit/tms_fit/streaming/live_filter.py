@@ -7,7 +7,7 @@ from bisect import bisect_left
 
 from tms_model.response import FASTEST
 
-from tms_fit.kalman.running_filter import FilterStep, RunningFilter
+from tms_fit.kalman.ekf import ExtendedKalmanFilter, FilterStep
 from tms_fit.streaming.synchronizer import Sample
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 
@@ -20,7 +20,7 @@ class LiveFilter:
     A strike is found some time after it began; the filter is then restarted from its first sample.
     """
 
-    def __init__(self, running: RunningFilter, nominal_speed: float, uses_torque: bool) -> None:
+    def __init__(self, running: ExtendedKalmanFilter, nominal_speed: float, uses_torque: bool) -> None:
         """nominal_speed [m/s]: where none was measured; uses_torque: whether a known steer torque enters."""
         self._running, self._nominal_speed, self._uses_torque = running, nominal_speed, uses_torque
         self._recent: list[Sample] = []

@@ -15,7 +15,7 @@ from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
 from tms_fit.gyroscopes import orientation_of
-from tms_fit.kalman.extended_filter import SLOW
+from tms_fit.kalman.ekf import PARAMETER_STATES
 from tms_fit.messages import estimate_records, filter_state_record
 from tms_fit.run_info import stated_bicycle
 from tms_fit.settings import Settings
@@ -132,14 +132,15 @@ class LiveFit:
         return dict(self.counts + self._run.counts if self._run else self.counts)
 
     @property
-    def slow_states(self) -> dict[str, str]:
-        """What the extended filter says now of biases, speed and C_r, with standard deviations, SI units."""
+    def parameter_states(self) -> dict[str, str]:
+        """Latest biases, speed and C_r of the extended filter with standard deviations, SI units, as text."""
         step = self._run.last_step if self._run else None
-        if step is None or step.slow is None or step.slow_covariance is None:
+        if step is None or step.parameters is None or step.parameter_covariance is None:
             return {}
-        std = np.sqrt(np.diag(step.slow_covariance))
+        std = np.sqrt(np.diag(step.parameter_covariance))
         return {
-            name: f"{value:.4g} +- {one:.2g}" for name, value, one in zip(SLOW, step.slow, std, strict=True)
+            name: f"{value:.4g} +- {one:.2g}"
+            for name, value, one in zip(PARAMETER_STATES, step.parameters, std, strict=True)
         }
 
     def _restart(self) -> None:

@@ -12,8 +12,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.estimators import check_names
 from tms_fit.gyroscopes import Gyroscopes, Vector
-from tms_fit.kalman.extended_filter import ExtendedFilter, InitialState, ProcessNoise
-from tms_fit.kalman.running_filter import FilterStep, RunningFilter
+from tms_fit.kalman.ekf import FilterStep, make_filter
 from tms_fit.segment import FreeResponse
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_filter import LiveFilter
@@ -51,7 +50,7 @@ class LiveRun:
         self._samples = Samples(self._synchronizer.speed, nominal_speed)
         self._tracker = StrikeTracker(self._samples, bicycle, settings)
         uses_torque = settings.steer_torque != "ignore"
-        self._filter: LiveFilter | None = LiveFilter(_filter(bicycle, settings), nominal_speed, uses_torque)
+        self._filter: LiveFilter | None = LiveFilter(make_filter(bicycle, settings), nominal_speed, uses_torque)
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
         self._previewed_ns = 0
         self._discarded_ns = 0  # samples before were discarded
@@ -155,17 +154,3 @@ def vector(values: Sequence[float] | Array) -> Vector:
     """Three numbers as floats."""
     x, y, z = values if type(values) is tuple else map(float, values)
     return x, y, z
-
-
-def _filter(bicycle: Bicycle, settings: Settings) -> RunningFilter:
-    """The filter of the settings; what they fix is known to it."""
-    if settings.filter == "linear":
-        return RunningFilter(bicycle, settings.gyroscope_noise)
-    guess, wandering = InitialState(), ProcessNoise()
-    resistance = settings.fixed.get("rolling_resistance", 0.0 if "speed" in settings.fixed else None)
-    if resistance is not None:
-        guess = replace(guess, rolling_resistance=resistance, rolling_resistance_std=0.0)
-        wandering = replace(wandering, rolling_resistance=0.0)
-    if "speed" in settings.fixed:
-        guess, wandering = replace(guess, speed_share=0.0), replace(wandering, speed=0.0)
-    return ExtendedFilter(bicycle, settings.gyroscope_noise, guess, wandering)
