@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp, trapezoid
+from scipy.linalg import block_diag, expm
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
 from tms_fit.least_squares.make_estimate import variance_accounted_for
@@ -192,11 +193,62 @@ def test_smoothing_is_that_of_filterpy() -> None:
     theirs, their_covariances, _, _ = kalman.rts_smoother(np.array(states), np.array(covariances))
 
     rough = least_squares.fit_window(window, settings(INITIAL)).covariance / sigma**2
-    values, inverse = kalman_rts.smooth(Problem(window, INITIAL), rough)
+    values, inverse = kalman_rts.smooth_problem(Problem(window, INITIAL), rough)
     information = np.linalg.inv(inverse) / sigma**2
     covariance = np.linalg.inv(information + np.linalg.inv(prior))
     np.testing.assert_allclose(covariance @ information @ values, theirs[0][:, 0], rtol=0.0, atol=2e-6)
     np.testing.assert_allclose(covariance, their_covariances[0], rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("free", [DEFAULT_FREE, (*INITIAL, *BIASES)])
+def test_smoothing_with_process_noise_is_generalised_least_squares(free: tuple[str, ...]) -> None:
+    # Disturbances make the measurements correlated: y = A p + M w + n, so that their covariance is
+    # C = M Q M' + sigma^2 I and p = (A' C^-1 A)^-1 A' C^-1 y. Transitions and Q (Van Loan) are scipy's.
+    window = made_window(TRUTH, noise=0.02, torque=True, missing=True, jitter=True, delay=0.0037, count=60)
+    fixed = {name: value for name, value in TRUTH.items() if name not in free}
+    density = (0.03, 0.3)  # [rad/s^2/sqrt(Hz)]
+    answer = kalman_rts.estimate(window, settings(free, fixed), density)
+    system = linear_system(window.bicycle, window.start_speed)
+    rows = np.stack([np.eye(4)[2], system.yaw])
+    maps, covariances, columns, states = [], [], [], np.eye(4)
+    for duration in np.diff(window.time, prepend=-window.delay):
+        block = np.block(
+            [[-system.a, np.diag([0.0, 0.0, *np.square(density)])], [np.zeros((4, 4)), system.a.T]]
+        )
+        whole = expm(block * duration)
+        transition = whole[4:, 4:].T
+        maps = [transition @ one for one in maps] + [np.eye(4)]
+        covariances.append(transition @ whole[:4, 4:])
+        states = transition @ states
+        # to sample k from disturbances 0..k, then zeros
+        columns.append((np.hstack([rows @ states, np.eye(2)]), [rows @ one for one in maps]))
+    count = len(columns)
+    disturbed = np.zeros((2 * count, 4 * count))
+    for k, (_, parts) in enumerate(columns):
+        disturbed[2 * k : 2 * k + 2, : 4 * k + 4] = np.hstack(parts)
+    sigma = answer.noise["noise_std"]
+    spread = disturbed @ block_diag(*covariances) @ disturbed.T + sigma**2 * np.eye(2 * count)
+    forced = response(system, np.zeros(4), window.time + window.delay, window.steer_torque)
+    target = (window.measured - np.stack([forced[:, 2], yaw_rate(system, forced)], axis=1)).ravel()
+    design = np.vstack([one for one, _ in columns])
+    names = (*INITIAL, *BIASES)
+    target -= design @ [fixed.get(name, 0.0) for name in names]
+    good = np.isfinite(target)
+    design = design[good][:, [names.index(name) for name in free]]
+    weighted = np.linalg.solve(spread[np.ix_(good, good)], design)
+    covariance = np.linalg.inv(design.T @ weighted)
+    std = np.sqrt(np.diag(covariance))
+    assert answer.names == free
+    np.testing.assert_allclose((answer.values - covariance @ weighted.T @ target[good]) / std, 0.0, atol=1e-6)
+    np.testing.assert_allclose(answer.covariance, covariance, rtol=1e-6, atol=1e-6 * std.min() ** 2)
+    without = kalman_rts.estimate(window, settings(free, fixed))
+    assert (answer.std > 1.05 * without.std)[free.index("initial_lean_rate")]
+
+
+def test_a_fixed_slip_is_taken_off_before_smoothing() -> None:
+    window = replace(made_window(TRUTH, noise=0.02), slip_window=0.3)
+    held = settings(INITIAL, {"slip_yaw_rate": -0.4})
+    assert_same(kalman_rts.estimate(window, held), least_squares.fit_window(window, held), 1e-9)
 
 
 def test_som2011_looks_at_the_lean_rate_only() -> None:

@@ -8,6 +8,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.stats import chi2
 from tms_fit.kalman.batch import filter_batch, smooth_start
+from tms_fit.kalman.rts import smooth, smoothed_start
 from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space, with_oscillator
 from tms_model import linear_system, load_bicycle, response, yaw_rate
 from tms_model.response import LEAN_RATE
@@ -123,6 +124,14 @@ def test_statsmodels_agrees(oscillator: bool) -> None:
     assert batch.log_likelihood[0] == pytest.approx(told.llf_obs[1:].sum(), rel=1e-10)
     assert start.values[0] == pytest.approx(told.smoothed_state[:, 0], abs=1e-9)
     assert start.covariance[0] == pytest.approx(told.smoothed_state_cov[:, :, 0], abs=1e-10)
+    # the fixed-interval smoother of one run: all states, and the start once more
+    smoothed = smooth(model, run)
+    assert smoothed.state == pytest.approx(told.smoothed_state.T, abs=1e-9)
+    assert smoothed.covariance == pytest.approx(np.moveaxis(told.smoothed_state_cov, -1, 0), abs=1e-10)
+    alone = smoothed_start(model, smoothed.gradient[None], smoothed.curvature[None], [2, 4, 5])
+    together = smooth_start(batch, [2, 4, 5])
+    assert alone.values == pytest.approx(together.values, abs=1e-9)
+    assert alone.covariance == pytest.approx(together.covariance, abs=1e-10)
 
 
 @pytest.mark.parametrize("share", [1, 2, 5], ids=["own gaps", "shared gaps", "one pattern"])

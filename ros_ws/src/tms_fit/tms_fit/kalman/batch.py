@@ -1,16 +1,17 @@
-"""Kalman filter and smoother for many runs at once, measured at the same instants with the same model.
+"""Kalman filter and smoother of many runs at once, measured at the same instants with the same model.
 
-The gains are those of `tms_fit.kalman.gains`. What is left for each run is one product with the transition
+The gains are those of `tms_fit.kalman.gains`. What remains for each run is one product with the transition
 for every sample, and one sum with the gain for every channel of it, done for all runs together:
 
     x <- F x;   e = y - h x,   x <- x + K e   for each channel
 
-x: state, y: measurement, e: innovation, each given the channels before it. Runs stand last in the arrays, and
-as many are taken at a time as the processor's cache holds.
+x: state, y: measurement, e: innovation, each given the channels before it. Runs are the last axis of the
+arrays, in chunks that fit the processor's cache.
 
-The smoother needs no second pass over the runs. Innovations are linear in the state at the start, with
-sensitivities that are the same for all runs that share gains: gradient and curvature of minus the
-log-likelihood by that state are sums over the innovations, so the prior can be taken out exactly.
+The smoother of the initial state needs no second pass over the runs. Innovations are linear in that state,
+with sensitivities that are the same for all runs that share gains: gradient and curvature of minus the
+log-likelihood are sums over the innovations, and the prior can be taken out exactly
+(`tms_fit.kalman.rts.smoothed_start`).
 
 References: G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation", Academic Press (1977),
 chapter 2; F. C. Schweppe, IEEE Trans. Information Theory 11 (1965), doi 10.1109/TIT.1965.1053737, for the
@@ -27,14 +28,15 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 from tms_fit.kalman.gains import Gains, gains, sensitivities
+from tms_fit.kalman.rts import SmoothedStart, smoothed_start
 from tms_fit.kalman.state_space import StateSpace
 
-CHUNK = 2000  # runs at a time
+CHUNK = 2000  # runs
 
 
 @dataclass(frozen=True, eq=False)
 class BatchFilter:
-    """r runs of n samples, m channels, s states."""
+    """Filtered runs: r of n samples, m channels, s states."""
 
     space: StateSpace
     gains: Gains
@@ -45,27 +47,19 @@ class BatchFilter:
 
     @property
     def channel_count(self) -> NDArray[np.intp]:
-        """Channels used (r, n)."""
+        """Number of channels that are present (r, n)."""
         return np.asarray(self.gains.present.sum(axis=1).T[self.gains.pattern])
 
     @property
     def covariance(self) -> Array:
-        """Of the state at the last sample (r, s, s)."""
+        """Covariance of the state at the last sample (r, s, s)."""
         return np.asarray(np.moveaxis(self.gains.covariance, -1, 0)[self.gains.pattern])
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """State at the start, given all measurements; p of the s states."""
-
-    values: Array  # (r, p)
-    covariance: Array  # (r, p, p)
-
-
 def filter_batch(space: StateSpace, measured: Array) -> BatchFilter:
-    """Filter measured (r, n, m), NaN where a measurement is missing.
+    """Filtered runs, measured (r, n, m); NaN: missing.
 
-    Memory: twice the measurements, and s + 1 numbers for each measurement of each pattern of missing ones.
+    Memory: twice the measurements, and s + 1 numbers for each measurement of each pattern of missing samples.
     """
     known = gains(space, np.isfinite(measured))
     runs, count, channels = measured.shape
@@ -108,13 +102,8 @@ def _filter(
     return state
 
 
-def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) -> Start:
-    """The states numbered in `free` at the start of each run, from all its measurements.
-
-    Without `prior` what was known of them before is taken out: the answer is the least-squares one, to 1e-9
-    of a standard error if the prior was ten of them wide; each tenfold more costs two digits. The other
-    states keep their prior. Raises numpy.linalg.LinAlgError where the data don't tell them apart.
-    """
+def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) -> SmoothedStart:
+    """Smoothed initial states numbered in `free`, with their prior or without: see `smoothed_start`."""
     space, known = filtered.space, filtered.gains
     innovation = np.moveaxis(filtered.innovation, 0, -1)
     seen, curvature = sensitivities(space, known)
@@ -125,21 +114,9 @@ def smooth_start(filtered: BatchFilter, free: list[int], prior: bool = False) ->
         own = known.of(part)
         for k in range(len(innovation)):
             gradient[:, part] -= np.einsum("csr,cr->sr", _of(seen[k], own), innovation[k, :, part])
-    return _start(space, gradient.T, np.moveaxis(curvature, -1, 0)[known.pattern], free, prior)
-
-
-def _start(space: StateSpace, gradient: Array, curvature: Array, free: list[int], prior: bool) -> Start:
-    known, slope, bend = (
-        space.covariance[np.ix_(free, free)],
-        gradient[:, free],
-        curvature[:, free][:, :, free],
-    )
-    if prior:
-        return Start(space.mean[free] - slope @ known, known - known @ bend @ known)
-    inverse = np.linalg.inv(bend)
-    return Start(space.mean[free] - np.einsum("rpq,rq->rp", inverse, slope), inverse - known)
+    return smoothed_start(space, gradient.T, np.moveaxis(curvature, -1, 0)[known.pattern], free, prior)
 
 
 def _of(numbers: Array, own: NDArray[np.intp] | slice) -> Array:
-    """Those of some runs, which stand last: `take` is three times as fast as an index."""
+    """Numbers of some runs, the last axis; `take` is three times as fast as an index."""
     return numbers[..., own] if isinstance(own, slice) else numbers.take(own, axis=-1)

@@ -1,7 +1,8 @@
-"""Kalman gains of many runs at once: they depend on which samples are missing, not on what the others say.
+"""Kalman gains of many runs at once, one set for each pattern of missing samples.
 
-Runs that miss the same samples, a pattern, share covariances and gains. What belongs to a pattern stands last
-in every array, so that each step is done for all patterns by a few products and sums of long rows.
+Gains depend on which samples are missing, not on their values. Runs that miss the same samples, a pattern,
+share covariances and gains. Patterns are the last axis of every array, so that each step is done for all of
+them by a few products and sums of long rows.
 
 Reference: G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation", Academic Press (1977),
 chapter 2 (one scalar measurement after the other).
@@ -17,21 +18,21 @@ from tms_model.bicycle import Array
 
 from tms_fit.kalman.state_space import StateSpace
 
-CHUNK = 1000  # patterns at a time: their covariances stay in the processor's cache
+CHUNK = 1000  # patterns whose covariances fit the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What g patterns of missing samples make of a state space."""
+    """Gains of g patterns of missing samples."""
 
-    pattern: NDArray[np.intp]  # (r,) which of them a run has
+    pattern: NDArray[np.intp]  # (r,) index of each run's pattern
     present: NDArray[np.bool_]  # (n, m, g)
     gain: Array  # (n, m, s, g), 0 where absent
     variance: Array  # (n, m, g) of the innovations, each given the channels before it; infinite where absent
     covariance: Array  # (s, s, g) of the state at the last sample
 
     def of(self, runs: slice) -> NDArray[np.intp] | slice:
-        """Where the gains of some runs stand; a slice, which copies nothing, if all share them or none do."""
+        """Indices of some runs' patterns; a slice, which copies nothing, if all share one or none do."""
         count = self.present.shape[2]
         if count == 1:
             return slice(None)
@@ -51,9 +52,9 @@ def gains(space: StateSpace, present: NDArray[np.bool_]) -> Gains:
 
 
 def sensitivities(space: StateSpace, known: Gains) -> tuple[Array, Array]:
-    """By how much the innovations fall with the state at the start (n, m, s, g), and the curvature (s, s, g).
+    """Minus the derivative of the innovations by the initial state (n, m, s, g), and the curvature (s, s, g).
 
-    That is the curvature of minus the log-likelihood by that state.
+    The curvature is that of minus the log-likelihood by the initial state.
     """
     count, channels, size, patterns = known.gain.shape
     seen, curvature = np.empty(known.gain.shape), np.zeros((size, size, patterns))
@@ -69,7 +70,7 @@ def sensitivities(space: StateSpace, known: Gains) -> tuple[Array, Array]:
 
 
 def _patterns(present: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Which pattern each run has (r,), and the patterns (n, m, g)."""
+    """Index of each run's pattern (r,), and the patterns (n, m, g)."""
     if (present == present[:1]).all():
         return np.zeros(len(present), dtype=np.intp), np.moveaxis(present[:1], 0, -1)
     flat = np.packbits(present.reshape(len(present), -1), axis=1)

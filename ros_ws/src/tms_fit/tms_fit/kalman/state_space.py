@@ -1,4 +1,4 @@
-"""The sampled bicycle as a linear state space: what Kalman filters of every kind run on.
+"""Linear state space of the sampled bicycle.
 
     x[k] = F[k] x[k - 1] + w[k],   y[k, c] = H[k, c] x[k] + v[k, c]
 
@@ -21,7 +21,7 @@ STATES = 6  # four of the bicycle, two biases
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """n samples, m channels, s states. What is random is Gaussian and white."""
+    """Time-varying model of n samples, m channels, s states; all noise is Gaussian and white."""
 
     transitions: Array  # F (n, s, s); the first leads from the start to the first sample
     rows: Array  # H (n, m, s)
@@ -34,15 +34,15 @@ class StateSpace:
 def bicycle_space(
     system: LinearSystem, time: Array, noise: tuple[float, float], mean: Array, std: Array, delay: float = 0.0
 ) -> StateSpace:
-    """State space of a bicycle at constant speed, nothing disturbing it.
+    """State space of a bicycle at constant speed without process noise.
 
     time: (n,) [s] of the samples, ascending; the start lies `delay` [s] before the first. noise: standard
     deviation [rad/s] of lean rate and yaw rate. mean, std: (6,) of state and biases at the start.
     """
     steps = np.round(np.diff(time, prepend=time[0] - delay), 9)
-    known = {step: discretise(system, step)[0] for step in set(steps.tolist())}
+    discretised = {step: discretise(system, step)[0] for step in set(steps.tolist())}
     transitions = np.tile(np.eye(STATES), (len(time), 1, 1))
-    transitions[:, :4, :4] = [known[step] for step in steps.tolist()]
+    transitions[:, :4, :4] = [discretised[step] for step in steps.tolist()]
     rows = np.zeros((2, STATES))
     rows[0, LEAN_RATE] = rows[0, 4] = rows[1, 5] = 1.0
     rows[1, :4] = system.yaw
@@ -59,10 +59,10 @@ def bicycle_space(
 def with_oscillator(
     space: StateSpace, time: Array, channel: int, frequency: float, decay_time: float, std: float
 ) -> StateSpace:
-    """The space with a narrow-band oscillation in one channel: a randomly driven, lightly damped oscillator.
+    """State space with a narrow-band oscillation in one channel: a lightly damped oscillator driven by noise.
 
-    frequency [Hz]; decay_time [s] in which its phase is forgotten; std [rad/s] of the oscillation, which it
-    keeps from the start on. Shimmy is one: a limit cycle of constant amplitude and slowly wandering phase.
+    frequency [Hz]; decay_time [s]: correlation time of the phase; std [rad/s] of the oscillation, stationary
+    from the start on. Shimmy is one: a limit cycle of constant amplitude and slowly drifting phase.
     """
     size = space.mean.size
     steps = np.diff(time, prepend=time[0])
@@ -80,7 +80,7 @@ def with_oscillator(
 
 
 def _widened(space: StateSpace) -> StateSpace:
-    """The space with two more states that do nothing."""
+    """State space with two more states, which are zero."""
     square, flat = ((0, 0), (0, 2), (0, 2)), ((0, 0), (0, 0), (0, 2))
     return StateSpace(
         transitions=np.pad(space.transitions, square),

@@ -50,7 +50,8 @@ class LiveRun:
         self._samples = Samples(self._synchronizer.speed, nominal_speed)
         self._tracker = StrikeTracker(self._samples, bicycle, settings)
         uses_torque = settings.steer_torque != "ignore"
-        self._filter: LiveFilter | None = LiveFilter(make_filter(bicycle, settings), nominal_speed, uses_torque)
+        running = make_filter(bicycle, settings)
+        self._filter: LiveFilter | None = LiveFilter(running, nominal_speed, uses_torque)
         self._preview_ns = round(preview_period * NANOSECONDS) if preview_period else None
         self._previewed_ns = 0
         self._discarded_ns = 0  # samples before were discarded
