@@ -29,9 +29,15 @@ def place(item: pytest.Item) -> int:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect long tests, unless `--thorough` or a marker expression (`-m`) decides about them.
 
+    A test marked `quick_for(name=values)` is long for every other value of its parameter `name`.
     Tests that measure come first: one worker runs them, one after the other, since idle workers steal from
     the end. Long ones come last.
     """
+    for item in items:
+        for marker in item.iter_markers("quick_for"):
+            cases = item.callspec.params  # type: ignore[attr-defined]
+            if any(cases[name] not in values for name, values in marker.kwargs.items()):
+                item.add_marker("long")
     items.sort(key=place)
     if config.option.thorough or "long" in config.option.markexpr:
         return

@@ -15,6 +15,8 @@ from tms_model.characteristic import NAMES, coefficients, routh
 from tms_model.roots import positive_roots
 from tms_model.stability import boundaries, double_roots
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "benchmark.yaml").read_text())
 PRECISION = Fraction(1, 10**12)
 SPRUNG = SteerElements(steer_spring=-1.3, steer_damper=0.4, lean_gain=2.1, lean_rate_gain=0.7)
@@ -110,6 +112,7 @@ def test_double_root_of_the_benchmark_is_the_published_one() -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_every_change_of_the_eigenvalues_kind_is_a_double_root(name: str) -> None:
     bicycle = load_bicycle(name)
     speeds = np.arange(0.0052, 15.0, 0.0104)
@@ -138,6 +141,7 @@ def test_polynomials_are_those_of_the_determinant(name: str, elements: SteerElem
 
 @pytest.mark.parametrize("name", bicycle_names())
 @pytest.mark.parametrize("elements", [SteerElements(), SPRUNG], ids=["free", "sprung"])
+@pytest.mark.quick_for(name=KINDS)
 def test_routh_says_what_the_eigenvalues_say(name: str, elements: SteerElements) -> None:
     bicycle = replace(load_bicycle(name), steer_elements=elements)
     for speed in np.arange(0.31, 12.0, 0.47):

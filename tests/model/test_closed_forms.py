@@ -108,6 +108,7 @@ def test_lowest_tilt_by_hand() -> None:
 
 
 @pytest.mark.parametrize("name", THEORETICAL)
+@pytest.mark.quick_for(name=["tms_table_7_1"])
 def test_allowed_regions_are_where_a_bicycle_is_stable(name: str) -> None:
     # Figure 7.3: a light front mass inside the region makes the bicycle self-stable at all high speeds;
     # outside, or too heavy, at none.

@@ -16,6 +16,8 @@ from tms_model import Bicycle, bicycle_names, eigenvalues, load_bicycle, stabili
 from tms_model.figures.drawing import drawing_figure
 from tms_model.figures.eigenvalues import eigenvalue_figure
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 NAMES = bicycle_names()
 
 
@@ -27,6 +29,7 @@ def parts(name: str) -> tuple[Bicycle, Figure, Axes, Axes]:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.quick_for(name=KINDS)
 def test_every_eigenvalue_is_drawn_at_every_speed(name: str) -> None:
     bicycle, _, left, _ = parts(name)
     curves = [line for line in left.lines if len(line.get_xdata()) > 100]
@@ -39,6 +42,7 @@ def test_every_eigenvalue_is_drawn_at_every_speed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.quick_for(name=KINDS)
 def test_stable_ranges_are_shaded_and_weave_and_capsize_marked(name: str) -> None:
     bicycle, _, left, _ = parts(name)
     answer, highest = stability(bicycle), left.get_xlim()[1]
@@ -93,6 +97,7 @@ def boxes(figure: Figure, texts: list[Any]) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.quick_for(name=KINDS)
 def test_no_text_covers_another_or_leaves_its_picture(name: str) -> None:
     for figure in (parts(name)[1], drawing_figure(load_bicycle(name))):
         for axes in figure.axes:

@@ -19,6 +19,8 @@ from tms_model import (
 )
 from tms_model.ensemble import ensemble, ensemble_eigenvalues, ensemble_stability
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 ASSEMBLED = [name for name in bicycle_names() if load_bicycle(name).parameters is not None]
 ELEMENTS = {"free": SteerElements(), "controlled": SteerElements(0.5, 0.3, 0.0, 1.0)}
 VARIED = (
@@ -43,6 +45,7 @@ def one_of(bicycle: Bicycle, changed: dict[str, np.ndarray], row: int) -> Bicycl
 
 @pytest.mark.parametrize("elements", ELEMENTS)
 @pytest.mark.parametrize("name", ASSEMBLED)
+@pytest.mark.quick_for(name=KINDS)
 def test_each_set_is_as_by_itself(name: str, elements: str) -> None:
     plain = load_bicycle(name)
     bicycle = assemble(name, plain.parameters, steer_elements=ELEMENTS[elements])

@@ -11,6 +11,8 @@ from tms_model import bicycle_names, load_bicycle
 from tms_model.exponential import expm
 from tms_model.response import state_matrix
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 
 def test_nothing_and_no_more_than_a_shear() -> None:
     np.testing.assert_array_equal(expm(np.zeros((3, 3))), np.eye(3))
@@ -26,6 +28,7 @@ def test_a_rotation(angle: float) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_many_at_once_agree_with_scipy(name: str) -> None:
     speeds = np.linspace(0.0, 12.0, 25)
     for step in (1e-4, 0.01, 0.1):

@@ -11,9 +11,12 @@ from tms_model import ParameterError, bicycle_names, load_bicycle, stability
 from tms_model.figures import FIGURES
 from tms_model.figures.saving import save_figure
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 
 @pytest.mark.parametrize("name", bicycle_names())
 @pytest.mark.parametrize("kind", FIGURES)
+@pytest.mark.quick_for(name=KINDS)
 def test_every_figure_is_drawn_or_refused_in_words(kind: str, name: str, tmp_path: Path) -> None:
     bicycle = load_bicycle(name)
     try:

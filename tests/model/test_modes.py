@@ -11,6 +11,8 @@ from tms_model import ParameterError, bicycle_names, eigenvalues, follow_modes, 
 from tms_model.response import state_matrix
 from tms_model.stability import double_roots
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "benchmark.yaml").read_text())
 
 
@@ -24,6 +26,7 @@ def test_published_names_of_the_benchmark(row: list[float]) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_curves_are_the_eigenvalues_and_continuous(name: str) -> None:
     bicycle = load_bicycle(name)
     speeds = np.arange(0.0, 12.0, 0.004)
@@ -42,6 +45,7 @@ def test_curves_are_the_eigenvalues_and_continuous(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_curves_do_not_depend_on_the_speeds_asked_for(name: str) -> None:
     bicycle = load_bicycle(name)
     speeds = np.linspace(0.0, 14.0, 141)

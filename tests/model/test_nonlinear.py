@@ -23,6 +23,8 @@ from tms_model.nonlinear_response import (
 )
 from tms_model.rolling import touching_pitch
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 Array = NDArray[np.float64]
 
 
@@ -82,6 +84,7 @@ def test_a_steer_torque_starts_the_linear_accelerations(bicycle: Bicycle) -> Non
     np.testing.assert_allclose(found.accelerations[:2], expected, rtol=1e-11)
 
 
+@pytest.mark.quick_for(bicycle=KINDS)
 def test_energy_is_conserved_over_seconds_of_wide_motion(bicycle: Bicycle) -> None:
     initial = np.array([0.05, 0.1, 0.2, 0.0, 4.0])
     bare = replace(bicycle, steer_elements=type(bicycle.steer_elements)())

@@ -126,6 +126,7 @@ def _numbers(p: WhippleParameters) -> list[float]:
 @pytest.mark.parametrize("name", ["benchmark", "delft_sbw", "tms_table_8_1"])
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("steer_torque", [0.0, 0.5])
+@pytest.mark.long
 def test_all_accelerations_are_symbrims(
     oracle: Oracle, name: str, state: list[float], steer_torque: float
 ) -> None:

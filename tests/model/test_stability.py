@@ -20,6 +20,8 @@ from tms_model import (
     stability,
 )
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 ASSEMBLED = [name for name in bicycle_names() if load_bicycle(name).parameters is not None]
 
 
@@ -31,12 +33,14 @@ def assert_ranges_are_those_of_a_scan(bicycle: Bicycle, speeds: np.ndarray) -> N
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_ranges_are_those_of_a_scan(name: str) -> None:
     # 0.0137 m/s apart from an odd start: no speed of the scan lies on a bound.
     assert_ranges_are_those_of_a_scan(load_bicycle(name), np.arange(0.0071, 30.0, 0.0137))
 
 
 @pytest.mark.parametrize("name", ASSEMBLED)
+@pytest.mark.quick_for(name=KINDS)
 def test_ranges_of_slightly_different_bicycles(name: str) -> None:
     # Every parameter off by a few percent: on a two-mass skate E_2 and X_6 vanish, and rounding must not make
     # up a range.

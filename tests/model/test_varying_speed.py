@@ -22,6 +22,8 @@ from tms_model.nonlinear_response import OK, SPEED, moving, nonlinear_response
 from tms_model.resistance import RESISTANCES, Resistance
 from tms_model.varying_speed import state_matrices, varying_response, varying_system, varying_yaw_rate
 
+KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+
 Array = NDArray[np.float64]
 
 BY_MATRICES = [name for name in bicycle_names() if load_bicycle(name).parameters is None]
@@ -78,6 +80,7 @@ def test_its_matrices_are_the_nonlinear_bicycles(
 
 
 @pytest.mark.parametrize(("name", "resistance"), PAIRS)
+@pytest.mark.quick_for(name=KINDS)
 def test_small_motions_of_both_are_the_same(name: str, resistance: Resistance) -> None:
     bicycle, deceleration = load_bicycle(name), 0.5886
     times = np.linspace(0.0, 1.0, 21)
@@ -127,6 +130,7 @@ def test_at_constant_speed_it_is_the_exact_response(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=KINDS)
 def test_any_speed_is_integrated_to_1e_9(name: str) -> None:
     bicycle = load_bicycle(name)
     times = np.array([0.0, 0.03, 0.5, 0.51, 1.2, 2.0])
