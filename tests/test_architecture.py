@@ -173,14 +173,9 @@ def test_only_nodes_know_ros() -> None:
     assert offenders(ros) == {}
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_everything_but_the_nodes_works_without_ros(package: str) -> None:
+def test_everything_but_the_nodes_works_without_ros() -> None:
     # With rclpy and all messages out of reach, every module outside nodes/ can be imported.
-    names = [
-        module_of(path)
-        for path in (SOURCES / package / package).rglob("*.py")
-        if "nodes" not in path.parts and path.name != "__main__.py"
-    ]
+    names = [module_of(path) for path in MODULES if "nodes" not in path.parts and path.name != "__main__.py"]
     program = (
         "import sys, importlib\n"
         "class Wall:\n"
@@ -191,7 +186,8 @@ def test_everything_but_the_nodes_works_without_ros(package: str) -> None:
         "sys.meta_path.insert(0, Wall())\n"
         f"for name in {names!r}: importlib.import_module(name)\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_no_module_is_a_drawer() -> None:

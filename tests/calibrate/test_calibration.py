@@ -145,6 +145,7 @@ def shaking(generator: np.random.Generator, std: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("kind", "each"), [("white", 8), ("shimmy", 8), ("0.05", 8), ("0.2", 8), ("0.2", 2)])
+@pytest.mark.quick_for(each=[2])
 def test_intervals_by_the_scatter_of_pushes_hold_whatever_the_noise_is_like(
     delft: Bicycle, kind: str, each: int
 ) -> None:

@@ -61,6 +61,7 @@ def strikes(command: Any, run: dict[str, Any]) -> Any:
         ("initial_lean_rate,initial_steer_rate,lean_rate_bias", "with_steer_rate"),
     ],
 )
+@pytest.mark.quick_for(run=PUBLISHED["runs"][:1], key=["lean_rate_only"])
 def test_pushes_are_found_and_the_model_explains_them(
     strikes: Any, run: dict[str, Any], free: str, key: str
 ) -> None:
@@ -70,6 +71,7 @@ def test_pushes_are_found_and_the_model_explains_them(
     assert [strike["estimates"][0]["status"] for strike in found] == ["ok"] * len(found)
 
 
+@pytest.mark.long
 def test_feedback_of_the_lean_rate_is_found_in_the_command(strikes: Any, run: dict[str, Any]) -> None:
     # Measured slopes of the command over the lean rate: 6.93 at 3 m/s, 4.71 at 4 m/s.
     found = strikes()
@@ -82,6 +84,7 @@ def test_feedback_of_the_lean_rate_is_found_in_the_command(strikes: Any, run: di
     assert all("yaw_rate_bias" not in strike["estimates"][0]["parameters"] for strike in found)
 
 
+@pytest.mark.long
 def test_without_its_feedback_the_model_fails(strikes: Any, run: dict[str, Any]) -> None:
     # The model without feedback is unstable at these speeds: leaving the known torque out must show.
     found = strikes("--free", "initial_lean_rate,lean_rate_bias", "--steer-torque", "ignore")
@@ -97,6 +100,7 @@ CALIBRATED = ("--bicycle", "delft_sbw_calibrated", "--free", "initial_lean_rate"
 
 
 @pytest.mark.parametrize("how", ["command", "setting"])
+@pytest.mark.long
 def test_calibrated_it_explains_pushes_by_one_initial_lean_rate_each(
     strikes: Any, run: dict[str, Any], how: str
 ) -> None:
@@ -137,6 +141,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return {**document, "again": load_bicycle(str(folder / "again.yaml"))}
 
 
+@pytest.mark.long
 def test_the_shipped_bicycle_is_what_its_command_makes(calibration: dict[str, Any]) -> None:
     shipped, again = load_bicycle("delft_sbw_calibrated"), calibration["again"]
     assert shipped.calibrated is not None
@@ -146,6 +151,7 @@ def test_the_shipped_bicycle_is_what_its_command_makes(calibration: dict[str, An
     assert again.calibrated.recordings == shipped.calibrated.recordings
 
 
+@pytest.mark.long
 def test_pushes_and_logs_left_out_are_predicted(calibration: dict[str, Any]) -> None:
     for name, wanted, pushes, other in (("delft_3", 0.95, 0.971, 0.957), ("delft_4", 0.96, 0.978, 0.972)):
         found = calibration["recordings"][name]
@@ -155,6 +161,7 @@ def test_pushes_and_logs_left_out_are_predicted(calibration: dict[str, Any]) -> 
         assert found["by_the_other_recordings"]["median_vaf"] == pytest.approx(other, abs=0.003)
 
 
+@pytest.mark.long
 def test_what_data_and_priors_tell_is_as_documented(calibration: dict[str, Any]) -> None:
     told = {name: one["told_by"] for name, one in calibration["parameters"].items()}
     assert {name for name, word in told.items() if word == "data"} == {"steer_damper", "steer_torque_gain"}

@@ -96,6 +96,7 @@ def test_bootstrap_under_white_noise_is_as_wide_as_the_covariance_says(window: W
         ("bootstrap", 1.5, 70, 93),  # 6 blocks are too few, and docs/estimation.md says so
     ],
 )
+@pytest.mark.long
 def test_how_often_intervals_hold_the_truth(
     window: Window, method: str, seconds: float, least: int, most: int
 ) -> None:

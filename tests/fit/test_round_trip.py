@@ -131,6 +131,7 @@ def test_feedback_is_told_from_an_input(fit_bag: Any) -> None:
 
 
 @pytest.mark.parametrize("scenario", ["tms_strike", "delft_push"])
+@pytest.mark.long
 def test_intervals_hold_as_often_as_they_say(make_run: Any, fit_run: Any, scenario: str) -> None:
     # The strike falls anywhere between two samples, the noise is new in each of 100 runs. With the right
     # model and right standard errors, the errors in standard errors have mean 0 and deviation 1, and 95 % lie

@@ -45,6 +45,7 @@ def test_joints_of_hard_wood_are_no_strikes() -> None:
 
 
 @pytest.mark.parametrize("rate", [100, 400])
+@pytest.mark.quick_for(rate=[100])
 def test_impulses_of_50_ms_are_dated_to_10_ms(rate: int) -> None:
     # One standard deviation of the bound is 4 ms: 98 in 100 could be.
     found = score(f"0.3 rad/s in 50 ms at {rate} Hz", 6, 10)

@@ -13,6 +13,7 @@ from tms_study import trials, validation
 from tms_study.findings import Finding, findings_text, write_markdown
 
 
+@pytest.mark.long
 def test_quick_validation_reaches_its_bands(command: Any, tmp_path: Path) -> None:
     done = command("tms_study", "validate", "--quick", "--json", "-o", tmp_path / "validation.md")
     assert done.code == 0
