@@ -84,6 +84,7 @@ def test_one_that_plays_takes_no_steps(nodes: Any, participant: Any, bag: Path) 
         ["lossless:=true", "wait_timeout:=1000.0"],
     ],
 )
+@pytest.mark.quick_for(parameters=[["delay:=1000.0"], ["lossless:=true", "wait_timeout:=1000.0"]])
 def test_stop_ends_it_whatever_it_waits_for(
     nodes: Any, participant: Any, bag: Path, parameters: list[str]
 ) -> None:

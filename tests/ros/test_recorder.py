@@ -260,6 +260,7 @@ def test_without_a_clock_nothing_is_lost_and_it_is_said(
         ("nonsense:=1", "unknown parameter nonsense"),
     ],
 )
+@pytest.mark.quick_for(argument=["compression:=gzip", "nonsense:=1"])
 def test_bad_parameters_are_one_line(nodes: Any, tmp_path: Path, argument: str, expected: str) -> None:
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'bag'}", "-p", argument)
     nodes.finish(recorder, 2)

@@ -43,6 +43,7 @@ def start_recorder(nodes, bag, *arguments):
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM], ids=lambda how: how.name)
+@pytest.mark.quick_for(how=[signal.SIGINT])
 def test_what_is_published_is_in_the_bag_after_a_signal(nodes, participant, records, tmp_path, how):
     recorder = start_recorder(nodes, tmp_path / "bag")
     publishers = publishers_for(participant, records)
@@ -178,6 +179,7 @@ def listen(participant, topic, kind, profile=LATEST):
 
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
+@pytest.mark.quick_for(rate=[4.0])
 def test_messages_come_with_their_timing(nodes, participant, bag, records, rate):
     sent = []  # (time of sending [ns], bytes)
     participant.create_subscription(

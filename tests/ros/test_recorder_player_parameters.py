@@ -49,6 +49,9 @@ def only_line(nodes, executable: str) -> str:
         ),
     ],
 )
+@pytest.mark.quick_for(
+    arguments=[[], ["bag:=BAG", "rate:=0.0"], ["bag:=BAG", "rate:=fast"], ["bag:=BAG", "topics:=[/nope]"]]
+)
 def test_bad_parameters_of_the_player(nodes, bag, arguments, expected):
     flags = [word for text in arguments for word in ("-p", text.replace("BAG", json.dumps(str(bag))))]
     nodes.finish(nodes.start("tms_bag", "player", *flags), code=2)
@@ -68,6 +71,7 @@ def test_bad_parameters_of_the_player(nodes, bag, arguments, expected):
         (["output:=new", "topics:=['a//b']"], "parameter topics: expected topic names"),
     ],
 )
+@pytest.mark.quick_for(arguments=[["output:=BAG"], ["output:=7"]])
 def test_bad_parameters_of_the_recorder(nodes, bag, arguments, expected):
     before = sorted(path.name for path in bag.parent.iterdir())
     flags = [word for text in arguments for word in ("-p", text.replace("BAG", str(bag)))]
@@ -144,6 +148,7 @@ def test_a_type_that_is_not_installed_is_left_out_with_a_warning(nodes, bag, tmp
 
 @pytest.mark.parametrize("executable", ["recorder", "player"])
 @pytest.mark.parametrize("argument", ["--nope", "-p", "rate"])
+@pytest.mark.quick_for(argument=["--nope"])
 def test_arguments_that_ros_does_not_know_are_refused(nodes, executable, argument):
     nodes.finish(nodes.start("tms_bag", executable, argument), code=2)
     assert "Traceback" not in nodes.log(executable).read_text()

@@ -88,6 +88,7 @@ def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Any, tmp_pat
 
 
 @pytest.mark.parametrize("window", [500, 7])
+@pytest.mark.quick_for(window=[7])
 def test_a_lossless_replay_as_fast_as_it_goes_gives_the_answer_of_the_offline_fit(
     nodes: Any, tmp_path: Path, window: int
 ) -> None:
@@ -193,6 +194,7 @@ def test_stamps_by_the_nodes_clock(nodes: Any, tmp_path: Path) -> None:
     ("package", "executable", "ready"),
     [("tms_sim", "simulator", "simulating"), ("tms_fit", "estimator", "estimator ready")],
 )
+@pytest.mark.quick_for(how=[signal.SIGINT])
 def test_signals_end_a_node_cleanly(
     nodes: Any, package: str, executable: str, ready: str, how: signal.Signals
 ) -> None:
@@ -238,6 +240,9 @@ def test_parameters_are_checked_at_run_time(nodes: Any, participant: Any) -> Non
         ("tms_fit", "estimator", "window:=0.01", "window"),
         ("tms_fit", "estimator", "estimators:=[magic]", "unknown 'magic'"),
     ],
+)
+@pytest.mark.quick_for(
+    parameter=["scenario:=nonsense", "imu.position:=[1.0]", "nonsense:=1.0", "window:=0.01"]
 )
 def test_bad_parameters_are_one_line(
     nodes: Any, package: str, executable: str, parameter: str, expected: str

@@ -209,6 +209,7 @@ def test_a_storm_of_parameters_costs_no_sample(nodes: Any, participant: Any) -> 
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.2, 1.6, 2.0, 2.5])
+@pytest.mark.quick_for(delay=[0.3, 1.2, 2.0])
 def test_a_signal_at_any_stage_leaves_nothing_half_made(nodes: Any, tmp_path: Path, delay: float) -> None:
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'bag'}")
     time.sleep(delay)
