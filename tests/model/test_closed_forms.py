@@ -12,8 +12,8 @@ import yaml
 from tms_model import ParameterError, assemble, linear_system, load_bicycle, response, stability, yaw_rate
 from tms_model.characteristic import NAMES, coefficients
 from tms_model.response import STEER, STEER_RATE
-from tms_model.support_line import STEERINGS, support_line, support_line_of
-from tms_model.two_mass_skate import (
+from tms_model.supplement.support_line import STEERINGS, support_line, support_line_of
+from tms_model.supplement.two_mass_skate import (
     TwoMassSkate,
     closed_form_coefficients,
     matrices,

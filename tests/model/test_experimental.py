@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 from tms_model import ParameterError, linear_system, load_bicycle, stability
-from tms_model.experimental import (
+from tms_model.response import STEER, STEER_RATE
+from tms_model.supplement.experimental import (
     PRINTED_TOTALS_GRAMS,
     angular_momentum_ratio,
     angular_momentum_ratio_of,
     totals_grams,
 )
-from tms_model.response import STEER, STEER_RATE
 
 PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "two_mass_skate.yaml").read_text())
 TABLE: dict[str, str] = PUBLISHED["table_8_1"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from tms_model import bicycle_names, load_bicycle, with_parameters
-from tms_model.jbike6 import (
+from tms_model.supplement.jbike6 import (
     BODIES,
     components,
     from_jbike6,

@@ -24,7 +24,7 @@ from tms_model import (
 )
 from tms_model.characteristic import coefficients
 from tms_model.response import LEAN, LEAN_RATE, STEER, STEER_RATE, state_matrix
-from tms_model.steady_turn import (
+from tms_model.supplement.steady_turn import (
     capsize_terms,
     necessary_conditions,
     steady_turn,
@@ -32,7 +32,7 @@ from tms_model.steady_turn import (
     tilt_without_capsize,
     tilted,
 )
-from tms_model.torque_step import torque_step
+from tms_model.supplement.torque_step import torque_step
 
 DATA = Path(__file__).parents[1] / "data"
 PUBLISHED = yaml.safe_load((DATA / "steady_turn.yaml").read_text())

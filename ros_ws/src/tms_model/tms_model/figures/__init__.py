@@ -10,12 +10,12 @@ from collections.abc import Callable
 from matplotlib.figure import Figure
 
 from tms_model.bicycle import Bicycle
-from tms_model.figures.capsize_regions import capsize_regions_figure
-from tms_model.figures.coefficients import coefficients_figure
 from tms_model.figures.drawing import drawing_figure
 from tms_model.figures.eigenvalues import eigenvalue_figure
-from tms_model.figures.front_mass import front_mass_figure
-from tms_model.figures.torque_step import torque_step_figure
+from tms_model.supplement.capsize_regions_figure import capsize_regions_figure
+from tms_model.supplement.coefficients_figure import coefficients_figure
+from tms_model.supplement.front_mass_figure import front_mass_figure
+from tms_model.supplement.torque_step_figure import torque_step_figure
 
 __all__ = ["FIGURES"]
 

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from tms_model.bicycle import Bicycle
 from tms_model.errors import ParameterError
 from tms_model.stability import stability
-from tms_model.steady_turn import steady_turn
-from tms_model.torque_step import FIGURE_5_1_LEAN, FIGURE_5_1_SPEED, TorqueStep, torque_step
+from tms_model.supplement.steady_turn import steady_turn
+from tms_model.supplement.torque_step import FIGURE_5_1_LEAN, FIGURE_5_1_SPEED, TorqueStep, torque_step
 
 DURATION = 14.0  # [s]
 DIP_TIME = 1.2  # [s] shown with the sideways scale widened

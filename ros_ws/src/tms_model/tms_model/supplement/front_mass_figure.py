@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tms_model.bicycle import Array, Bicycle
-from tms_model.two_mass_skate import TwoMassSkate, two_mass_skate
+from tms_model.supplement.two_mass_skate import TwoMassSkate, two_mass_skate
 
 BLUE, ORANGE, GREEN, SKY = "#0072B2", "#D55E00", "#009E73", "#56B4E9"
 POINTS = 900  # of the grid that is shaded, each way
