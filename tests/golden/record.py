@@ -134,7 +134,7 @@ STUDIES = {
     "bound-gym": "bound gym_run --free initial_lean_rate,rolling_resistance",
     "campaign": "campaign tms_strike --vary strike.lean_rate=[0.2,0.4] --runs 2",
     "campaign-gym": "campaign gym_run --runs 2 --estimator kalman_rts --given",
-    "strikes": "strikes --runs 1 --only weak",
+    "strikes": "strikes --runs 1 --only push",
 }
 
 
