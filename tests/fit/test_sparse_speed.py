@@ -15,7 +15,13 @@ from tms_fit.recording_fit import fit_recording
 from tms_fit.response.discretization import speeds_at
 from tms_fit.response.prediction import predict_by
 from tms_fit.settings import Settings
-from tms_fit.speed_profile import FLOORS, GUESSED, UNSTATED, SpeedProfile, fit_speed_profile
+from tms_fit.speed_profile import (
+    ROLLING_RESISTANCE_PRIOR,
+    STALE_STD_SHARE,
+    UNSTATED_STD_SHARE,
+    SpeedProfile,
+    fit_speed_profile,
+)
 from tms_fit.streaming.live_fit import INPUTS, LiveFit
 from tms_fit.streaming.synchronizer import Series
 from tms_fit.strike_fit import StrikeFit
@@ -48,19 +54,19 @@ def strike(filmed: SimulatedRun, fit_run: Any) -> StrikeFit:
 
 def test_one_speed_before_the_window_falls_as_on_some_floor() -> None:
     curve = curve_of([-0.6], [3.9], 0.02)
-    assert (curve.extrapolated, curve.forgotten, curve.origin) == (True, False, -0.6)
+    assert (curve.extrapolated, curve.is_stale, curve.origin) == (True, False, -0.6)
     assert curve.at(-0.6) == 3.9
-    assert curve.at(0.4) == pytest.approx(3.9 - FLOORS[0] * LOSS)
-    np.testing.assert_allclose(np.sqrt(np.diag(curve.covariance)), [0.02, FLOORS[1] * LOSS])
+    assert curve.at(0.4) == pytest.approx(3.9 - ROLLING_RESISTANCE_PRIOR[0] * LOSS)
+    np.testing.assert_allclose(np.sqrt(np.diag(curve.covariance)), [0.02, ROLLING_RESISTANCE_PRIOR[1] * LOSS])
 
 
 def test_a_single_speed_without_a_stated_error_is_known_to_a_share() -> None:
-    assert curve_of([-0.6], [4.0]).std == pytest.approx(UNSTATED * 4.0)
+    assert curve_of([-0.6], [4.0]).std == pytest.approx(UNSTATED_STD_SHARE * 4.0)
 
 
 def test_a_speed_of_long_ago_is_a_guess() -> None:
     curve = curve_of([-30.0], [4.0], 0.02)
-    assert (curve.forgotten, curve.origin, curve.std) == (True, 0.0, pytest.approx(GUESSED * 4.0))
+    assert (curve.is_stale, curve.origin, curve.std) == (True, 0.0, pytest.approx(STALE_STD_SHARE * 4.0))
 
 
 def test_speeds_with_a_stated_error_tell_the_slope() -> None:

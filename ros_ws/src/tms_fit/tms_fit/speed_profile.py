@@ -1,9 +1,9 @@
-"""The forward speed over a window as a smooth function of time, from what a speed sensor said.
+"""Forward speed over a window as a smooth function of time.
 
-A polynomial: the sensor's noise would make nonsense of v', which enters the equations of motion. Where the
-sensor didn't say how the speed goes on over the window (a camera's one figure before the strike, a topic that
-ends soon after it), the bicycle is taken to coast: the speed falls evenly from when it was measured on, by a
-rolling resistance that is known as that of floors is.
+A polynomial through the sensor's samples: their noise must not enter v', which the equations of motion need.
+Where the samples don't cover the window (a camera's one figure before the strike, a topic that ends soon
+after it), the bicycle is assumed to coast: from its last measurement on, the speed falls evenly by a rolling
+resistance with the prior of common floors.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-MEDIAN = 1.2533  # standard error of a median per that of a mean, sqrt(pi / 2)
-HIGHEST = 3  # degree of the polynomial
-CERTAIN = 5.0  # standard errors that a slope must have before the speed is said to change
-MATTERS = 0.005  # share of the speed that it must change by over the window
-ENOUGH = 8  # samples that tell how the speed goes
-UNSEEN = 0.25  # share of the window, at its beginning or its end, that may be without samples
-FLOORS = (0.05, 0.05)  # C_r and its standard deviation: hard wood 0.015, rubber mats 0.06 to 0.15
-UNSTATED = 0.01  # share of a single speed that is its standard deviation where nobody states one
-FINEST = 1e-4  # [m/s], scatter of a speedometer's samples that none is below
-FORGOTTEN = 3.0  # [s] since a measurement, after which nobody knows whether the bicycle coasted all along:
-GUESSED = 0.3  # it is then a guess, with this share of it for standard deviation
+MEDIAN_ERROR_RATIO = 1.2533  # standard error of a median per that of a mean, sqrt(pi / 2)
+HIGHEST_DEGREE = 3  # of the polynomial
+SLOPE_STANDARD_ERRORS = 5.0  # least slope of a speed that changes, per its standard error
+LEAST_CHANGE_SHARE = 0.005  # of the speed, by which it must change over the window
+LEAST_SAMPLES = 8  # that determine the course of the speed
+UNSAMPLED_SHARE = 0.25  # of the window, at its beginning or its end, that may be without samples
+# C_r, mean and standard deviation: hard wood 0.015, rubber mats 0.06 to 0.15.
+ROLLING_RESISTANCE_PRIOR = (0.05, 0.05)
+UNSTATED_STD_SHARE = 0.01  # standard deviation of a single speed without a stated one, per speed
+LEAST_SCATTER = 1e-4  # [m/s], standard deviation of a speedometer's samples, at least
+SPEED_STALE_AFTER_S = 3.0  # [s] after a measurement: whether the bicycle coasted all along is then unknown
+STALE_STD_SHARE = 0.3  # standard deviation of a stale speed, per speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,8 @@ class SpeedProfile:
     covariance: Array  # (k, k)
     measured: bool = False  # by a sensor in this run
     origin: float = 0.0  # [s]
-    extrapolated: bool = False  # a straight line from what was measured at `origin`: how it falls is assumed
-    forgotten: bool = (
-        False  # what was measured is too long ago: at the window's start it is no more than a guess
-    )
+    extrapolated: bool = False  # a straight line from the measurement at `origin`: its slope is assumed
+    is_stale: bool = False  # the measurement is too old: its value at the window's start is a guess
 
     @property
     def constant(self) -> bool:
@@ -72,63 +71,65 @@ def fit_speed_profile(
     takes in a second.
 
     model: 'constant': the median. 'measured': the polynomial of up to third degree with the least AICc.
-    'auto': the median, unless the samples show beyond doubt that the speed changes enough to matter. But for
-    'constant', where the samples don't tell how the speed goes over the window, it falls as on some floor.
+    'auto': the median, unless the samples show a significant change of the speed that matters. But for
+    'constant', where the samples don't cover the window, the speed falls as on a common floor.
     """
     good = np.isfinite(speed)
     time, speed, variance = time[good], speed[good], variance[good]
-    if model != "constant" and not _told(time, last):
+    if model != "constant" and not _covers_window(time, last):
         used = time >= 0.0 if (time >= 0.0).any() else time == time.max()
-        return _falling(time[used], speed[used], variance[used], coasting_loss)
+        return _coasting_line(time[used], speed[used], variance[used], coasting_loss)
     if model != "constant":
         kept = _without_outliers(time, speed)
-        curves = [_polynomial(time[kept], speed[kept], degree) for degree in range(1, HIGHEST + 1)]
+        curves = [_polynomial(time[kept], speed[kept], degree) for degree in range(1, HIGHEST_DEGREE + 1)]
         _, chosen = min(curves, key=lambda curve: curve[0])
         if model == "measured" or _changes(curves[0][1], float(np.ptp(time))):
             return chosen
-    std = MEDIAN * float(np.std(speed, ddof=1)) / math.sqrt(len(speed)) if len(speed) > 1 else 0.0
+    std = MEDIAN_ERROR_RATIO * float(np.std(speed, ddof=1)) / math.sqrt(len(speed)) if len(speed) > 1 else 0.0
     return constant_speed(float(np.median(speed)), std, measured=True)
 
 
-def _told(time: Array, last: float) -> bool:
-    """Whether samples at some times tell how the speed goes over a window."""
-    unseen = UNSEEN * last
-    if len(time) < ENOUGH or not np.ptp(time) > 0.0:
+def _covers_window(time: Array, last: float) -> bool:
+    """Whether samples at these times cover a window."""
+    unseen = UNSAMPLED_SHARE * last
+    if len(time) < LEAST_SAMPLES or not np.ptp(time) > 0.0:
         return False
     return float(time.min()) <= unseen and float(time.max()) >= last - unseen
 
 
-def _falling(time: Array, speed: Array, variance: Array, coasting_loss: float) -> SpeedProfile:
-    """A straight line through few samples (n,), one at least, that falls as on some floor if they don't tell.
+def _coasting_line(time: Array, speed: Array, variance: Array, coasting_loss: float) -> SpeedProfile:
+    """A straight line through few samples (n,), one at least, with the slope of a common floor as prior.
 
-    They tell where they state their variance or are enough for their scatter to tell it: then the slope is
-    the mean of theirs and the floor's, each by its variance (the two are independent about the mean time).
+    Samples determine a slope where their variance is stated or they are enough to show it: the slope is then
+    the mean of theirs and the prior's, each by its variance (the two are independent about the mean time).
     """
-    slope, slope_variance = -FLOORS[0] * coasting_loss, (FLOORS[1] * coasting_loss) ** 2
+    resistance, resistance_std = ROLLING_RESISTANCE_PRIOR
+    slope, slope_variance = -resistance * coasting_loss, (resistance_std * coasting_loss) ** 2
     stated = bool((variance > 0.0).all())
     if not stated:
-        kept = _without_outliers(time, speed) if len(speed) >= ENOUGH else np.ones(len(speed), dtype=bool)
-        time, speed = time[kept], speed[kept]
+        if len(speed) >= LEAST_SAMPLES:
+            kept = _without_outliers(time, speed)
+            time, speed = time[kept], speed[kept]
         variance = np.full(len(speed), _scatter(time, speed, slope))
     weights = 1.0 / variance
     origin = float(np.average(time, weights=weights))
     since = time - origin
-    told = float(weights @ since**2)  # inverse of the variance of the samples' own slope
-    if told > 0.0 and (stated or len(speed) >= ENOUGH):
-        information = told + 1.0 / slope_variance
+    precision = float(weights @ since**2)  # inverse of the variance of the samples' own slope
+    if precision > 0.0 and (stated or len(speed) >= LEAST_SAMPLES):
+        information = precision + 1.0 / slope_variance
         slope = (float(weights @ (since * speed)) + slope / slope_variance) / information
         slope_variance = 1.0 / information
     mean_variance = 1.0 / float(weights.sum())
-    forgotten = origin < -FORGOTTEN
-    if forgotten:
-        origin, mean_variance = 0.0, (GUESSED * float(speed[-1])) ** 2
+    is_stale = origin < -SPEED_STALE_AFTER_S
+    if is_stale:
+        origin, mean_variance = 0.0, (STALE_STD_SHARE * float(speed[-1])) ** 2
     return SpeedProfile(
         np.array([float(np.average(speed, weights=weights)), slope]),
         np.diag([mean_variance, slope_variance]),
         measured=True,
         origin=origin,
         extrapolated=True,
-        forgotten=forgotten,
+        is_stale=is_stale,
     )
 
 
@@ -139,23 +140,24 @@ def _scatter(time: Array, speed: Array, slope: float) -> float:
     """
     count = len(speed)
     if count == 1:
-        return max((UNSTATED * float(speed[0])) ** 2, FINEST**2)
-    if count < ENOUGH:
-        return max(float(np.var(speed - slope * time, ddof=1)), FINEST**2)
+        return max((UNSTATED_STD_SHARE * float(speed[0])) ** 2, LEAST_SCATTER**2)
+    if count < LEAST_SAMPLES:
+        return max(float(np.var(speed - slope * time, ddof=1)), LEAST_SCATTER**2)
     matrix = np.vander(time - time.mean(), 2)
     residual = speed - matrix @ np.linalg.lstsq(matrix, speed, rcond=None)[0]
-    return max(float(residual @ residual) / (count - 2), FINEST**2)
+    return max(float(residual @ residual) / (count - 2), LEAST_SCATTER**2)
 
 
 def _changes(line: SpeedProfile, span: float) -> bool:
-    """Whether a straight line through the samples says that the speed changes."""
+    """Whether a straight line through the samples has a significant slope that matters."""
     slope, std = abs(float(line.coefficients[1])), math.sqrt(float(line.covariance[1, 1]))
-    return slope > CERTAIN * std and slope * span > MATTERS * abs(float(line.coefficients[0]))
+    least_change = LEAST_CHANGE_SHARE * abs(float(line.coefficients[0]))
+    return slope > SLOPE_STANDARD_ERRORS * std and slope * span > least_change
 
 
 def _without_outliers(time: Array, speed: Array) -> NDArray[np.bool_]:
     """Which samples lie within four robust deviations of a polynomial of the highest degree."""
-    matrix = np.vander(time, HIGHEST + 1, increasing=True)
+    matrix = np.vander(time, HIGHEST_DEGREE + 1, increasing=True)
     kept = np.ones(len(time), dtype=bool)
     for _ in range(3):
         coefficients, *_ = np.linalg.lstsq(matrix[kept], speed[kept], rcond=None)

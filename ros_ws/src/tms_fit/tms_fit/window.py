@@ -1,4 +1,4 @@
-"""The stretch of a recording after one strike, ready to be compared with the bicycle."""
+"""Window: measured rates of one free response, ready to be compared with the model."""
 
 from __future__ import annotations
 
@@ -16,17 +16,15 @@ from tms_fit.gyroscopes import saturated
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import SpeedProfile
 
-FEEDBACK_R2 = (
-    0.8  # a torque is called lean-rate feedback when this share of it is proportional to the lean rate
-)
+FEEDBACK_R2 = 0.8  # share of a torque proportional to the lean rate, from which on it is lean-rate feedback
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Free response after a strike. SAE signs; NaN marks what was not measured.
+    """Measured rates after a strike. SAE signs; NaN: not measured.
 
-    The free response starts `delay` before the first sample; every estimator holds its initial state at that
-    instant.
+    The free response starts `delay` before the first sample; initial states of all estimators are those at
+    that instant.
     """
 
     first_ns: int  # stamp of the first sample

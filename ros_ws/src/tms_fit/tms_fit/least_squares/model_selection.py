@@ -12,7 +12,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.least_squares.varpro import Problem
 from tms_fit.parameters import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP
 from tms_fit.settings import Settings
-from tms_fit.speed_profile import FORGOTTEN, constant_speed
+from tms_fit.speed_profile import SPEED_STALE_AFTER_S, constant_speed
 from tms_fit.window import Window, with_channels, without_saturated
 
 FALLING = {"speed", "rolling_resistance"}
@@ -64,8 +64,9 @@ def _coasting(window: Window, settings: Settings) -> str:
     given = {"rolling_resistance"} & {*settings.fixed, *settings.priors}
     if asked or given or not window.speed.extrapolated:
         return ""
-    if window.speed.forgotten and "speed" not in settings.priors:
-        return f"speed and rolling resistance found because no speed was measured within {FORGOTTEN:g} s"
+    if window.speed.is_stale and "speed" not in settings.priors:
+        within = f"within {SPEED_STALE_AFTER_S:g} s"
+        return f"speed and rolling resistance found because no speed was measured {within}"
     return "rolling resistance found because the speed was not measured over the window"
 
 
@@ -73,7 +74,7 @@ def without_resistance(choice: ModelSpec, settings: Settings) -> ModelSpec:
     """The same with the measured speed all along, instead of a rolling resistance that nobody asked for."""
     window, curve = choice.problem.window, choice.problem.window.speed
     constant = constant_speed(float(curve.coefficients[0]), curve.std, measured=True)
-    found = {"rolling_resistance"} if not curve.forgotten or "speed" in settings.priors else FALLING
+    found = {"rolling_resistance"} if not curve.is_stale or "speed" in settings.priors else FALLING
     free = tuple(name for name in choice.free if name not in found)
     problem = _problem(replace(window, speed=constant), free, dict(settings.fixed), settings)
     return replace(choice, problem=problem, free=free)
@@ -179,8 +180,8 @@ def _about_speed(window: Window, names: set[str]) -> str:
     if curve.extrapolated and "speed" not in names:
         when = window.delay + curve.origin
         place = f"{abs(when):.2f} s {'after' if when > 0.0 else 'before'} the start"
-        if curve.forgotten:
-            place = f"the start, a guess of more than {FORGOTTEN:g} s ago,"
+        if curve.is_stale:
+            place = f"the start, a guess of more than {SPEED_STALE_AFTER_S:g} s ago,"
         since = f" from {curve.coefficients[0]:.2f} m/s at {place} on"
     if "rolling_resistance" in names:
         return f", speed falling by rolling resistance{since}"
@@ -215,7 +216,7 @@ def _free(window: Window, settings: Settings) -> tuple[str, ...]:
         free = [name for name in DEFAULT_FREE if name not in absent and name not in settings.fixed]
         free += [name for name in settings.priors if name not in free]
         coasts = bool(_coasting(window, settings))
-        if coasts and window.speed.forgotten and "speed" not in free:
+        if coasts and window.speed.is_stale and "speed" not in free:
             free.append("speed")
         falling = settings.speed_model == "decelerating" or coasts
         if falling and "rolling_resistance" not in {*free, *settings.fixed}:

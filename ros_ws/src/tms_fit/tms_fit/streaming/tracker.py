@@ -19,8 +19,8 @@ from tms_fit.strikes.detector import StrikeDetector
 from tms_fit.strikes.free_response import predicted_share
 from tms_fit.strikes.manual import ManualStrikes
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
-from tms_fit.strikes.strike_time import AFTER, BEFORE, is_impulsive, refine_strike_time
-from tms_fit.strikes.window_end import STAND, WindowEnd, find_window_end
+from tms_fit.strikes.strike_time import AFTER_STRIKE_NS, BEFORE_STRIKE_NS, is_impulsive, refine_strike_time
+from tms_fit.strikes.window_end import STANDSTILL_SPEED, WindowEnd, find_window_end
 from tms_fit.window import Window
 
 HISTORY_NS = 10 * NANOSECONDS  # [ns] of samples kept; after a strike, changes are predicted from it this long
@@ -155,7 +155,7 @@ class StrikeTracker:
     def _stands(self, strike: Strike) -> str:
         """The reason to reject a change of a bicycle at rest, or an empty text."""
         speed, _ = self._samples.speed.at(strike.onset_ns)
-        stands = "speed" not in self._settings.fixed and abs(speed) < STAND
+        stands = "speed" not in self._settings.fixed and abs(speed) < STANDSTILL_SPEED
         return "the bicycle stands" if stands else ""
 
     def _caught(self, strike: Strike) -> str:
@@ -185,11 +185,11 @@ class StrikeTracker:
 
     def _window_around(self, strike: Strike) -> Window | None:
         """The motion around a strike since the last one, as far as recorded; None without a speed."""
-        since = strike.onset_ns - BEFORE
+        since = strike.onset_ns - BEFORE_STRIKE_NS
         if self._latest is not None:
             tail = PUSH_TAIL_NS if self._latest.kind == "push" else 0
             since = max(since, self._latest.time_ns + tail)
-        return self._window(self._segment(min(since, strike.before_ns), strike.time_ns + AFTER))
+        return self._window(self._segment(min(since, strike.before_ns), strike.time_ns + AFTER_STRIKE_NS))
 
     def _window(self, segment: Segment) -> Window | None:
         try:

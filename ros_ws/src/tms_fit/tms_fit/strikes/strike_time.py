@@ -1,8 +1,8 @@
-"""A strike once more, with what the bicycle's equations and the yaw rate know about it.
+"""Refined strike times, by the bicycle's equations and the yaw rate.
 
-The detector sees the lean rate alone and takes short stretches of it for parabolas. Where the bicycle's
-equations explain the motion before and after the impulse, they date its end better than any parabola, tell a
-weak impulse from a push, and tell a bicycle that was struck from one whose steering was kicked.
+The detector sees the lean rate alone and approximates short segments of it by parabolas. Where the bicycle's
+equations explain the motion before and after the impulse, they give its end more accurately, separate a weak
+impulse from a push, and a bicycle that was struck from one whose steering was kicked.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from tms_fit.strikes.impulse import Impulse, fit_impulse
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, without_saturated
 
-BEFORE = NANOSECONDS // 2  # [ns] of motion before a strike that is looked at
-AFTER = 7 * NANOSECONDS // 20  # [ns] after it; what comes later has known other things
-REACH = 0.06  # [s] on either side of where the detector has the middle of an impulse
-KNOWN = 0.05  # [s] of motion after the middle of what was pushed, at least
-MISFIT = 0.1  # of a change, in the lean rate: where the equations leave more they are not asked
-HARDLY = 0.05  # weight of a push's lengths that an impulse may have, where the detector saw a push
-LITTLE = 0.05  # the same: where they leave more, something else may have turned the steering meanwhile
-SURE = 0.01  # [s], standard deviation of an end that takes the place of a push's peak
-SURELY = 3.0  # standard deviations
-AGREES = 2.0  # the same, between an end between two samples and that by the equations
-SHAKEN = 0.3  # [rad/s], standard deviation of the kicks that it then may have got
+BEFORE_STRIKE_NS = NANOSECONDS // 2  # [ns] of motion before a strike that is fitted
+AFTER_STRIKE_NS = 7 * NANOSECONDS // 20  # [ns] of motion after it; the later is left out
+MIDDLE_SEARCH_S = 0.06  # on either side of the detected middle of an impulse
+LEAST_MOTION_AFTER_S = 0.05  # of motion after the middle of a push
+LARGEST_MISFIT_SHARE = 0.1  # of a change: with a larger misfit of the lean rate the equations are not used
+LARGEST_PUSH_WEIGHT = 0.05  # of an impulse where a push was detected
+SMALL_MISFIT_SHARE = 0.05  # of a change: with a larger misfit the steering may have been kicked meanwhile
+PEAK_STD_S = 0.01  # largest standard deviation of an end that replaces the peak of a push
+IMPULSE_STANDARD_ERRORS = 3.0  # by which an impulse exceeds the least change
+AGREEMENT_STANDARD_ERRORS = 2.0  # between a detected end between two samples and that by the equations
+STEER_KICK_STD = 0.3  # [rad/s] of the steer rate by a kick
 
 
 def refine_strike_time(strike: Strike, window: Window, least: float) -> Strike | str:
-    """The strike with its end by the equations, or as it is where they don't tell; or why it is none.
+    """The strike with its end by the equations, unchanged where they don't determine it; or why it is none.
 
-    window: the motion around the strike, from `BEFORE` until `AFTER` it. least [rad/s]: by how much what
-    acted on the lean must have changed its rate, if it was a strike.
+    window: the motion from `BEFORE_STRIKE_NS` before the strike to `AFTER_STRIKE_NS` after it. least [rad/s]:
+    least change of the lean rate by the impulse on the lean, for a strike.
     """
-    allowed = 0.5 if strike.kind == "strike" else HARDLY
+    allowed = 0.5 if strike.kind == "strike" else LARGEST_PUSH_WEIGHT
     impulse = _impulse(strike, window)
-    shaken = impulse is not None and (
-        impulse.misfit > LITTLE * abs(strike.change) or impulse.push_share > allowed
+    kicked = impulse is not None and (
+        impulse.misfit > SMALL_MISFIT_SHARE * abs(strike.change) or impulse.push_share > allowed
     )
-    if shaken:
-        impulse = _impulse(strike, window, SHAKEN)
-    if impulse is None or impulse.misfit > MISFIT * abs(strike.change):
+    if kicked:
+        impulse = _impulse(strike, window, STEER_KICK_STD)
+    if impulse is None or impulse.misfit > LARGEST_MISFIT_SHARE * abs(strike.change):
         return strike
     acted = math.copysign(1.0, strike.change) * impulse.lean_rate + 2.0 * impulse.lean_rate_std
     if math.isfinite(impulse.steer_rate) and acted < least:
@@ -55,31 +55,35 @@ def refine_strike_time(strike: Strike, window: Window, least: float) -> Strike |
             f" {impulse.lean_rate:+.3f} +- {impulse.lean_rate_std:.3f} rad/s, the rest followed from the"
             f" steering, as over a joint of the floor; {least:.2f} rad/s or more was needed"
         )
-    if impulse.push_share > allowed or (shaken and impulse.end_std > (strike.end_std or SURE)):
+    if impulse.push_share > allowed or (kicked and impulse.end_std > (strike.end_std or PEAK_STD_S)):
         return strike
     return strike if _agrees(strike, impulse, window) else _with_end(strike, impulse, window)
 
 
 def _agrees(strike: Strike, impulse: Impulse, window: Window) -> bool:
-    """Whether the detector has the end between two samples, and the equations don't exclude it there."""
+    """Whether the end was detected between two samples, and the equations don't exclude it there."""
     first, last = ((when - window.first_ns) / NANOSECONDS for when in (strike.before_ns, strike.time_ns))
-    reach = AGREES * impulse.end_std
+    reach = AGREEMENT_STANDARD_ERRORS * impulse.end_std
     return strike.sharp and not impulse.sharp and first - reach < impulse.end < last + reach
 
 
 def is_impulsive(strike: Strike, window: Window, least: float) -> bool:
-    """Whether the lean was struck by more than `least` [rad/s], whatever else turned the steering meanwhile.
+    """Whether the impulse on the lean exceeds `least` [rad/s], whatever turned the steering meanwhile.
 
-    Without a yaw rate what turned the steering isn't known: then nothing is sure.
+    False without a yaw rate: what turned the steering is then unknown.
     """
-    impulse = _impulse(strike, window, SHAKEN)
-    if impulse is None or math.isnan(impulse.steer_rate) or impulse.misfit > MISFIT * abs(strike.change):
+    impulse = _impulse(strike, window, STEER_KICK_STD)
+    if (
+        impulse is None
+        or math.isnan(impulse.steer_rate)
+        or impulse.misfit > LARGEST_MISFIT_SHARE * abs(strike.change)
+    ):
         return False
     acted = math.copysign(1.0, strike.change) * impulse.lean_rate
-    return acted - SURELY * impulse.lean_rate_std >= least
+    return acted - IMPULSE_STANDARD_ERRORS * impulse.lean_rate_std >= least
 
 
-def _impulse(strike: Strike, window: Window, shaken: float = 0.0) -> Impulse | None:
+def _impulse(strike: Strike, window: Window, kicked: float = 0.0) -> Impulse | None:
     window = without_saturated(window)
     end = (strike.end_ns - window.first_ns) / NANOSECONDS
     speed = float(window.speed.at(end))
@@ -87,20 +91,20 @@ def _impulse(strike: Strike, window: Window, shaken: float = 0.0) -> Impulse | N
         return None
     system = linear_system(window.bicycle, speed, window.lean_rate_gain)
     rates = window.measured - _forced(window)
-    return fit_impulse(window.time, rates, system, _middles(strike, window, end), shaken)
+    return fit_impulse(window.time, rates, system, _middles(strike, window, end), kicked)
 
 
 def _middles(strike: Strike, window: Window, end: float) -> tuple[float, float]:
-    """Between which times [s] the middle of the impulse is looked for."""
+    """Interval [s] in which the middle of the impulse is searched."""
     if strike.kind == "push":
-        latest = min(end, float(window.time[-1]) - KNOWN)
-        return (strike.onset_ns - window.first_ns) / NANOSECONDS - REACH, latest
-    reach = max(REACH, 1.5 * (strike.time_ns - strike.before_ns) / NANOSECONDS)
+        latest = min(end, float(window.time[-1]) - LEAST_MOTION_AFTER_S)
+        return (strike.onset_ns - window.first_ns) / NANOSECONDS - MIDDLE_SEARCH_S, latest
+    reach = max(MIDDLE_SEARCH_S, 1.5 * (strike.time_ns - strike.before_ns) / NANOSECONDS)
     return end - strike.rise / 2.0 - reach, end - strike.rise / 2.0 + reach
 
 
 def _forced(window: Window) -> Array:
-    """Both rates (n, 2) by the known torque of the steering alone."""
+    """Both rates (n, 2) due to the known steer torque alone."""
     if window.steer_torque is None:
         return np.zeros((len(window.time), 2))
     return Problem(window, ("initial_lean",)).predicted(np.zeros(1))
