@@ -91,20 +91,20 @@ def test_hands_end_a_simulated_response_and_strike_nothing(
     last = fits[-1]
     end = (last.end_ns - run.info.start_ns) / 1e9
     if caught < found[-1] + 1.5:
-        assert last.ending.kind in ("caught", "next_strike")  # a touch before the speed shows it
+        assert last.window_end.kind in ("caught", "next_strike")  # a touch before the speed shows it
         assert caught - 0.05 < end < caught + 0.03
-        assert f"window {last.ending.time:.2f} s: " in last.estimates[0].message
+        assert f"window {last.window_end.time:.2f} s: " in last.estimates[0].message
     assert [one.estimates[0].status for one in fits] == ["ok"] * len(fits)
 
 
 def test_without_its_speed_topic_a_caught_run_tells_the_same(make_run: Any, fit_run: Any) -> None:
     run = replace(make_run("gym_linoleum"), speed=None)
     (fit,) = fit_run(run, estimators=("least_squares",), fixed={"speed": 3.6})
-    assert fit.ending.kind in ("held", "next_strike")  # a touch before nothing moves
+    assert fit.window_end.kind in ("held", "next_strike")  # a touch before nothing moves
     assert (fit.end_ns - run.info.start_ns) / 1e9 == pytest.approx(4.347, abs=0.03)
 
 
 def test_the_end_of_a_record_is_told(make_run: Any, fit_run: Any) -> None:
     (fit,) = fit_run(make_run("tms_strike", duration=3.0), estimators=("least_squares",))
-    assert fit.ending.kind == "recording"
+    assert fit.window_end.kind == "recording"
     assert fit.estimates[0].message.endswith("window 1.00 s: nothing more was recorded")

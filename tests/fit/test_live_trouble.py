@@ -124,7 +124,7 @@ def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes(
     fit.finish()
     longer = Settings(window=3.0)
     spans = [
-        np.ptp(fit.refit(start_ns + 2 * SECOND, longer).stretch.time_ns) / SECOND
+        np.ptp(fit.refit(start_ns + 2 * SECOND, longer).segment.time_ns) / SECOND
         for start_ns in (starts[0], starts[1], starts[2], starts[-1])
     ]
     usual = Settings().window

@@ -45,7 +45,7 @@ def _strike(
     return {
         "time_ns": fit.start_ns,
         "window": [fit.strike.time_ns, fit.end_ns],
-        "ended_by": {"kind": fit.ending.kind, "why": fit.ending.why} if fit.ending else None,
+        "ended_by": {"kind": fit.window_end.kind, "why": fit.window_end.why} if fit.window_end else None,
         "lean_rate_change": fit.strike.change,
         "detection": _detection(fit.strike),
         "start_std": window.delay_std if window else None,
@@ -55,7 +55,7 @@ def _strike(
             {**_estimate(one), "criticism": residual_tests_json(window, one, stated) if window else None}
             for one in fit.estimates
         ],
-        **diagnostics_json(window, fit.estimates, fit.doubt, settings, asked),
+        **diagnostics_json(window, fit.estimates, fit.misspecification, settings, asked),
     }
 
 
@@ -119,7 +119,7 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
         for estimate in strike.estimates:
             known = strike.window.start_speed if strike.window else math.nan
             speed = f"{estimate.complete.get('speed', known):7.3f}".replace("nan", "  -")
-            doubted = strike.doubt is not None and estimate.names == strike.estimates[0].names
+            doubted = strike.misspecification is not None and estimate.names == strike.estimates[0].names
             mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
             mark += " ?" if doubted else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
@@ -132,9 +132,11 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
     stated = stated_noise(fit.recording, fit.settings)
     for one in fit.strikes:
         when = (one.start_ns - first_stamp(fit.recording)) / 1e9
-        found = diagnostics_lines(one.window, one.estimates, one.doubt, fit.settings, asked, stated)
+        found = diagnostics_lines(
+            one.window, one.estimates, one.misspecification, fit.settings, asked, stated
+        )
         lines.extend(f"{when:10.4f} {line}" for line in found)
-    if any(one.doubt for one in fit.strikes):
+    if any(one.misspecification for one in fit.strikes):
         lines.append("? doubtful, as told above: no interval covers a wrong model")
     if any(line.removesuffix(" ?").endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
@@ -152,9 +154,9 @@ def _reasons(fit: RecordingFit) -> list[str]:
     ]
     lines += [
         f"{(one.start_ns - first) / 1e9:10.4f} window {(one.end_ns - one.start_ns) / 1e9:.2f} s:"
-        f" {one.ending.why}"
+        f" {one.window_end.why}"
         for one in fit.strikes
-        if one.ending
+        if one.window_end
     ]
     if fit.rejected:
         lines.append(

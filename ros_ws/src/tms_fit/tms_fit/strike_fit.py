@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from tms_model import Bicycle, ParameterError
 
-from tms_fit.diagnostics.misspecification import Misspecification, doubt
+from tms_fit.diagnostics.misspecification import Misspecification, find_misspecification
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
@@ -23,13 +23,13 @@ class StrikeFit:
     """One strike and its estimates."""
 
     strike: Strike
-    stretch: Segment
+    segment: Segment
     window: Window | None  # None: nothing to compare with the model, the estimates' messages say why
     estimates: tuple[Estimate, ...]
     bicycle: str
     final: bool = True  # False: a preview, the response is still unfolding
-    ending: WindowEnd | None = None  # what ended the response before the window did; None: nothing
-    doubt: Misspecification | None = None  # of the first estimate, if final
+    window_end: WindowEnd | None = None  # what ended the response before the window did; None: nothing
+    misspecification: Misspecification | None = None  # of the first estimate, if final
 
     @property
     def start_ns(self) -> int:
@@ -46,7 +46,7 @@ class StrikeFit:
     @property
     def end_ns(self) -> int:
         """Last sample used."""
-        return int(self.stretch.time_ns[-1])
+        return int(self.segment.time_ns[-1])
 
 
 def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, final: bool = True) -> StrikeFit:
@@ -63,7 +63,7 @@ def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, fin
     window = _with_start(window, strike, settings)
     found = (ESTIMATORS[name](window, settings) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
-    why = doubt(window, settings, estimates[0]) if final and estimates else None
+    why = find_misspecification(window, settings, estimates[0]) if final and estimates else None
     estimates = _with_causes(estimates, end, why)
     return StrikeFit(strike, segment, window, estimates, bicycle.name, final, end, why)
 

@@ -200,5 +200,5 @@ def _figures(run: SimulatedRun, fit: StrikeFit, start: float, end: float) -> dic
         "low": float(one.ci95[index, 0]),
         "high": float(one.ci95[index, 1]),
         **{f"vaf_{channel}": value for channel, value in one.vaf.items()},
-        "doubted": int(fit.doubt is not None),
+        "doubted": int(fit.misspecification is not None),
     }

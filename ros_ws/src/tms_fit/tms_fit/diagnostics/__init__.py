@@ -1,1 +1,1 @@
-"""What speaks against a fit: residuals, rival hypotheses, error budget."""
+"""Residual tests, hypothesis tests, error budget and misspecification of a fit."""

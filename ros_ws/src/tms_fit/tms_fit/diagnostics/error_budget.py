@@ -1,4 +1,4 @@
-"""The error budget of the initial lean rate: what the noise leaves open, and what the model might have wrong.
+"""Error budget of the initial lean rate: statistical error, and errors of the values taken as known.
 
 Each contribution is the change of the estimate, refitted with the same unknowns, for a small change of
 what the fit takes as known: speed, rolling resistance, the strike's instant, an entry of M, C1, K0 or K2
@@ -21,21 +21,21 @@ from tms_fit.estimators.least_squares import fit_window
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
-OF = "initial_lean_rate"
-STEP = 1e-4  # of the differences, share of what is changed
-DELAY_STEP = 1e-4  # [s]
+PARAMETER = "initial_lean_rate"
+DIFFERENCE_STEP = 1e-4  # of the central differences, share of the value changed
+DELAY_STEP_S = 1e-4  # [s]
 RESISTANCE_STEP = 1e-3  # of C_r
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """One thing that the fit takes as known."""
+    """One value that the fit takes as known."""
 
     name: str
     value: float  # as the fit took it, SI
     sensitivity: float  # d estimate / d value; NaN where a refit failed
-    uncertainty: float  # standard deviation of the value, NaN: nobody states one
-    included: bool  # whether the estimate's standard error holds it already
+    uncertainty: float  # standard deviation of the value, NaN: none is stated
+    included: bool  # whether the estimate's standard error includes it
 
     @property
     def part(self) -> float:
@@ -58,34 +58,34 @@ class Budget:
 
     @property
     def model(self) -> float:
-        """Standard deviation [rad/s] by all that is stated and not in the standard error; NaN: nothing is."""
+        """Standard deviation [rad/s] by stated uncertainties outside the standard error; NaN: none."""
         parts = [one.part for one in self.contributions if not one.included and math.isfinite(one.part)]
         return math.sqrt(sum(part**2 for part in parts)) if parts else float("nan")
 
 
 def error_budget(window: Window, settings: Settings, estimate: Estimate) -> Budget | None:
     """Budget of a least-squares estimate; None where it has no initial lean rate."""
-    if OF not in estimate.names:
+    if PARAMETER not in estimate.names:
         return None
-    index = estimate.names.index(OF)
+    index = estimate.names.index(PARAMETER)
     asked = replace(settings, free=estimate.names)
     found = [
-        *_of_the_run(window, asked, estimate),
-        *_of_the_matrices(window, asked),
-        *_of_the_parameters(window, asked),
+        *_run_contributions(window, asked, estimate),
+        *_matrix_contributions(window, asked),
+        *_parameter_contributions(window, asked),
     ]
     return Budget(float(estimate.values[index]), float(estimate.std[index]), tuple(found))
 
 
 def _estimated(window: Window, settings: Settings) -> float:
     """The initial lean rate [rad/s], NaN where there is none."""
-    return fit_window(window, settings).parameters.get(OF, math.nan)
+    return fit_window(window, settings).parameters.get(PARAMETER, math.nan)
 
 
-def _of_the_run(window: Window, settings: Settings, estimate: Estimate) -> Iterator[Contribution]:
+def _run_contributions(window: Window, settings: Settings, estimate: Estimate) -> Iterator[Contribution]:
     if "speed" not in {*estimate.names, *settings.fixed}:
-        step = STEP * window.start_speed
-        ends = [_estimated(_faster(window, part), settings) for part in (-step, step)]
+        step = DIFFERENCE_STEP * window.start_speed
+        ends = [_estimated(_with_speed_change(window, part), settings) for part in (-step, step)]
         yield Contribution(
             "speed", window.start_speed, (ends[1] - ends[0]) / (2 * step), window.speed.std or math.nan, True
         )
@@ -98,20 +98,20 @@ def _of_the_run(window: Window, settings: Settings, estimate: Estimate) -> Itera
         slope = (ends[1] - ends[0]) / (2 * RESISTANCE_STEP)
         yield Contribution("rolling_resistance", 0.0, slope, math.nan, False)
     if "strike_time" not in {*estimate.names, *settings.fixed}:
-        low, high = max(window.delay - DELAY_STEP, 0.0), window.delay + DELAY_STEP
+        low, high = max(window.delay - DELAY_STEP_S, 0.0), window.delay + DELAY_STEP_S
         ends = [_estimated(replace(window, delay=delay), settings) for delay in (low, high)]
         slope = -(ends[1] - ends[0]) / (high - low)  # a longer delay is an earlier strike
         yield Contribution("strike_time", -window.delay, slope, window.delay_std or math.nan, True)
 
 
-def _of_the_matrices(window: Window, settings: Settings) -> Iterator[Contribution]:
-    """Each entry by itself; the two of M and K0 beside the diagonal are one number."""
+def _matrix_contributions(window: Window, settings: Settings) -> Iterator[Contribution]:
+    """Each entry separately; the off-diagonal entries of M and K0 are one value each."""
     for letter, matrix in window.bicycle.canonical.items():
         for row, column in np.ndindex(2, 2):
             symmetric = letter in ("M", "K0")
             if (symmetric and column < row) or (letter == "K2" and column == 0):
                 continue
-            step = STEP * (float(matrix[row, column]) or float(np.abs(matrix).max()))
+            step = DIFFERENCE_STEP * (float(matrix[row, column]) or float(np.abs(matrix).max()))
             ends = []
             for part in (-step, step):
                 changed = matrix.copy()
@@ -125,7 +125,7 @@ def _of_the_matrices(window: Window, settings: Settings) -> Iterator[Contributio
             yield Contribution(name, float(matrix[row, column]), slope, math.nan, False)
 
 
-def _of_the_parameters(window: Window, settings: Settings) -> Iterator[Contribution]:
+def _parameter_contributions(window: Window, settings: Settings) -> Iterator[Contribution]:
     """The bicycle's parameters whose uncertainty is stated."""
     bicycle = window.bicycle
     for name, deviation in bicycle.standard_deviations.items():
@@ -139,7 +139,7 @@ def _of_the_parameters(window: Window, settings: Settings) -> Iterator[Contribut
             yield Contribution(name, value, (ends[1] - ends[0]) / (2 * step), deviation, False)
 
 
-def _faster(window: Window, change: float) -> Window:
+def _with_speed_change(window: Window, change: float) -> Window:
     coefficients = window.speed.coefficients.copy()
     coefficients[0] += change
     return replace(window, speed=replace(window.speed, coefficients=coefficients))

@@ -1,6 +1,6 @@
-"""Rival explanations of one free response, each tested against the model with one assumption given up.
+"""Hypothesis tests on one free response, each against the model with one assumption relaxed.
 
-A hypothesis says that a parameter has a certain value (no deceleration, no steer rate, no pitch). The wider
+A hypothesis states that a parameter has a certain value (no deceleration, no steer rate, no pitch). The wider
 model frees it; the test is Wald's, estimate less hypothesis per standard error, by Student's t, in the noise
 that the wider model leaves: if the effect is real, the narrower model's residuals are coloured by it. Beside
 it stand the differences of AIC and BIC, each from the model that the hypothesis describes.
@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 from tms_model import Bicycle
 
-from tms_fit.diagnostics.residual_tests import SURE, probability
+from tms_fit.diagnostics.residual_tests import SIGNIFICANCE_LEVEL, probability
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.model_selection import choose
@@ -33,35 +33,35 @@ SLIP = 0.2  # [s] after a strike in which the front wheel may slip
 
 @dataclass(frozen=True)
 class HypothesisTest:
-    """One hypothesis and what the data say about it."""
+    """One hypothesis and its test."""
 
-    hypothesis: str  # in words, such as 'constant speed'
+    hypothesis: str  # such as 'constant speed'
     parameter: str  # of the wider model
-    value: float  # that the wider model finds, SI
+    value: float  # by the wider model, SI
     std: float
-    assumed: float  # what the hypothesis says
-    statistic: float  # (value - assumed) / std; NaN where the data say nothing
-    p_value: float  # NaN where the data say nothing
-    delta_aic: float  # of the wider model less that of the narrower; negative speaks for the wider
+    assumed: float  # by the hypothesis
+    statistic: float  # (value - assumed) / std; NaN where the data can't decide
+    p_value: float  # NaN where the data can't decide
+    delta_aic: float  # of the wider model less that of the narrower; negative favours the wider
     delta_bic: float
     sentence: str
 
     @property
     def rejected(self) -> bool:
-        """Whether the data speak against the hypothesis beyond doubt."""
-        return self.p_value < SURE
+        """Whether the data reject the hypothesis."""
+        return self.p_value < SIGNIFICANCE_LEVEL
 
 
 def run_hypothesis_tests(window: Window, settings: Settings) -> tuple[HypothesisTest, ...]:
-    """All hypotheses about one window; those whose parameter is free or fixed already are left out.
+    """Tests of all hypotheses on one window; those whose parameter is free or fixed already are left out.
 
-    What the data alone would free is tested here, so it isn't freed beforehand.
+    Parameters that the data alone would free are tested here, so they are not freed beforehand.
     """
     settings = replace(settings, free=choose(window, settings).free)
     narrow = fit_window(window, settings)
     if not narrow.names:
         return ()
-    return tuple(verdict for test in TESTS if (verdict := test(window, settings, narrow)) is not None)
+    return tuple(found for test in TESTS if (found := test(window, settings, narrow)) is not None)
 
 
 def impulse_ratio(bicycle: Bicycle) -> float:
@@ -71,10 +71,10 @@ def impulse_ratio(bicycle: Bicycle) -> float:
 
 
 def _no_slip(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
-    """Whether the first 0.2 s go with the rest: Chow's test, by residuals made white where they are coloured.
+    """Whether the first 0.2 s agree with the rest: Chow's test, on residuals whitened where coloured.
 
     G. C. Chow, Econometrica 28 (1960), doi 10.2307/1910133: residual sums with and without the early samples.
-    Colored noise is taken for the one that the rest shows.
+    Colored noise is estimated from the rest.
     """
     early = window.time + window.delay < SLIP
     absent = np.where(early, np.nan, 0.0)
@@ -93,7 +93,7 @@ def _no_slip(window: Window, settings: Settings, narrow: Estimate) -> Hypothesis
     said = f"the first {SLIP:g} s are off the rest by {size:.3f} rad/s"
     sentence = (
         f"no slip at the strike is rejected ({probability(p)}); {said}"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"no slip at the strike is not rejected ({probability(p)})"
     )
     nan = float("nan")
@@ -122,7 +122,7 @@ def _white_squares(window: Window, narrow: Estimate, late: Window, rest: Estimat
 
 
 def _constant_speed(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
-    """Whether the rates alone, and nothing of a speed sensor, show that the speed falls."""
+    """Whether the rates alone, without a speed sensor, show that the speed falls."""
     name = "rolling_resistance"
     if name in settings.fixed or (name in narrow.names and not window.speed.extrapolated):
         return None
@@ -131,7 +131,7 @@ def _constant_speed(window: Window, settings: Settings, narrow: Estimate) -> Hyp
     fixed = {name: value for name, value in settings.fixed.items() if name != "speed"}
     at_constant = replace(settings, free=free, fixed=fixed, priors={}, speed_model="constant")
     wider = replace(at_constant, free=(*free, name))
-    return _wald(
+    return _wald_test(
         "constant speed",
         name,
         (0.0, 0.0),
@@ -142,7 +142,7 @@ def _constant_speed(window: Window, settings: Settings, narrow: Estimate) -> Hyp
 
 
 def _no_steer_rate(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
-    return _freed(
+    return _test_freed(
         "no steer rate at the start",
         "initial_steer_rate",
         (window, settings, narrow),
@@ -162,17 +162,17 @@ def _impulse_steer_rate(window: Window, settings: Settings, narrow: Estimate) ->
     weights = np.array([{name: 1.0, "initial_lean_rate": -ratio}.get(one, 0.0) for one in wide.names])
     assumed = ratio * wide.parameters["initial_lean_rate"]
     value, std = wide.parameters[name], math.sqrt(float(weights @ wide.covariance @ weights))
-    return _verdict(
+    return _hypothesis_test(
         f"the steer rate of a roll impulse, {ratio:.2f} times the lean rate",
         (name, value, std, assumed),
         wide,
-        _lifted(wide, (value - assumed) / std),
+        _lifted_constraint(wide, (value - assumed) / std),
         f"a steer rate of {value:.3f} +- {wide.std[wide.names.index(name)]:.3f} rad/s",
     )
 
 
 def _no_pitch(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
-    return _freed(
+    return _test_freed(
         "a level sensor",
         "mounting_pitch",
         (window, settings, narrow),
@@ -183,7 +183,7 @@ def _no_pitch(window: Window, settings: Settings, narrow: Estimate) -> Hypothesi
 def _no_feedback(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
     if window.steer_torque is not None:
         return None
-    return _freed(
+    return _test_freed(
         "no steer feedback" if not window.lean_rate_gain else "the feedback gain as commanded",
         "lean_rate_gain",
         (window, settings, narrow),
@@ -193,7 +193,7 @@ def _no_feedback(window: Window, settings: Settings, narrow: Estimate) -> Hypoth
 
 
 def _no_damping(window: Window, settings: Settings, narrow: Estimate) -> HypothesisTest | None:
-    return _freed(
+    return _test_freed(
         "no more steer damping than the bicycle has",
         "steer_damper",
         (window, settings, narrow),
@@ -201,26 +201,26 @@ def _no_damping(window: Window, settings: Settings, narrow: Estimate) -> Hypothe
     )
 
 
-def _freed(
+def _test_freed(
     hypothesis: str,
     name: str,
-    given: tuple[Window, Settings, Estimate],
+    fit: tuple[Window, Settings, Estimate],
     words: Callable[[float, float], str],
     assumed: tuple[float, float] = (0.0, 0.0),
 ) -> HypothesisTest | None:
-    """A verdict on a parameter that the wider model frees; assumed: what the hypothesis says, to how much."""
-    window, settings, narrow = given
+    """Test of a parameter that the wider model frees; assumed: value and standard deviation by hypothesis."""
+    window, settings, narrow = fit
     if name in {*narrow.names, *settings.fixed}:
         return None
     wide = fit_window(window, _widened(settings, narrow, name))
-    return _wald(hypothesis, name, assumed, narrow, wide, words)
+    return _wald_test(hypothesis, name, assumed, narrow, wide, words)
 
 
 def _widened(settings: Settings, narrow: Estimate, name: str) -> Settings:
     return replace(settings, free=(*narrow.names, name))
 
 
-def _wald(
+def _wald_test(
     hypothesis: str,
     name: str,
     assumed: tuple[float, float],
@@ -235,10 +235,10 @@ def _wald(
     value, std = wide.parameters[name], float(wide.std[wide.names.index(name)])
     differences = wide.aic - narrow.aic, wide.bic - narrow.bic
     found = (name, value, math.hypot(std, assumed[1]), assumed[0])
-    return _verdict(hypothesis, found, wide, differences, words(value, std))
+    return _hypothesis_test(hypothesis, found, wide, differences, words(value, std))
 
 
-def _lifted(wide: Estimate, statistic: float) -> tuple[float, float]:
+def _lifted_constraint(wide: Estimate, statistic: float) -> tuple[float, float]:
     """Differences of AIC and BIC by a linear constraint that the wider model lifts, from its t statistic.
 
     The sum of squares falls from 1 + t^2 / (degrees of freedom) to 1: exact in white noise.
@@ -248,7 +248,7 @@ def _lifted(wide: Estimate, statistic: float) -> tuple[float, float]:
     return 2.0 - gain, math.log(count) - gain
 
 
-def _verdict(
+def _hypothesis_test(
     hypothesis: str,
     found: tuple[str, float, float, float],
     wide: Estimate,
@@ -260,7 +260,7 @@ def _verdict(
     p = 2.0 * float(stats.t.sf(abs(statistic), max(wide.degrees_of_freedom, 1)))
     sentence = (
         f"{hypothesis} is rejected ({probability(p)}); {alternative} is not"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"{hypothesis} is not rejected ({probability(p)}); the wider model finds {alternative}"
     )
     return HypothesisTest(

@@ -1,13 +1,13 @@
-"""What speaks for a wrong model, which moves an estimate by as much as it likes; no interval covers that.
+"""Signs of model misspecification. Confidence intervals do not cover this error.
 
-Coloured residuals: an interval for coloured noise covers what a noise like this does to the estimate. Beside
-it the plain answer says which one unknown more would explain the most; whether it is missing,
-`tms_fit.diagnostics.hypothesis_tests` tests.
+Autocorrelated residuals: an interval for autocorrelated noise covers such noise, not a wrong model. The
+additional parameter that reduces the residuals most is named; `tms_fit.diagnostics.hypothesis_tests` tests
+whether it is needed.
 
-Unknowns that stand in for what is missing: with enough of them free the residuals of a wrong model are white
-as well, but then a gyroscope's bias or an angle at the start comes out as none can be.
+Implausible values: with enough free parameters the residuals of a wrong model are white as well, but then a
+gyroscope's bias or an angle at the start is outside its plausible range.
 
-Readings beyond the range that somebody states: those were not clipped, and aren't what they are taken for.
+Readings beyond the stated range of the gyroscope: they were not clipped there.
 """
 
 from __future__ import annotations
@@ -33,51 +33,53 @@ CANDIDATES = (
     "lean_rate_gain",
     "steer_damper",
 )
-STEEPEST = 0.1  # [rad] of mounting pitch; nobody mounts a sensor worse without knowing
-LEAST_SHARE = 0.1  # of the residuals' standard deviation that an unknown must explain to be named
-LEAST_BIC = 10.0  # by which it must lower BIC under white noise
-LARGEST = {  # that an unknown can be, and what it then is [rad/s], [rad]
+LARGEST_MOUNTING_PITCH = 0.1  # [rad] of a sensor mounted without stating it
+LEAST_STD_REDUCTION = 0.1  # of the residuals' standard deviation, by a parameter to be named
+LEAST_BIC_REDUCTION = 10.0  # of BIC under white noise, by a parameter to be named
+PLAUSIBLE_LIMITS = {  # largest absolute values [rad/s], [rad], and what of
     "lean_rate_bias": (0.05, "a gyroscope's bias"),
     "yaw_rate_bias": (0.05, "a gyroscope's bias"),
     "initial_lean": (0.5, "an angle for small-angle equations"),
     "initial_steer": (0.5, "an angle for small-angle equations"),
 }
-ABOVE = np.array(
-    [1.1, 1.5]
-)  # of the stated range: lean rate by a mount some degrees off, yaw rate as levelled
-BEYOND = 3.0  # standard errors by which it must be larger
+# Largest rates per stated range: lean rate of a sensor mounted some degrees off, yaw rate as levelled.
+RANGE_MARGINS = np.array([1.1, 1.5])
+LIMIT_STANDARD_ERRORS = 3.0  # by which a value exceeds its limit
 
 
 @dataclass(frozen=True)
 class Misspecification:
-    """Why an estimate may be wrong by more than its interval."""
+    """Reason why the error of an estimate may exceed its interval."""
 
-    parameter: str  # that would explain the most of the residuals, or that can't be as found; empty: none
+    parameter: str  # that reduces the residuals most, or has an implausible value; empty: none
     sentence: str
 
 
-def doubt(window: Window, settings: Settings, estimate: Estimate) -> Misspecification | None:
-    """What makes an estimate doubtful; None where nothing does."""
+def find_misspecification(window: Window, settings: Settings, estimate: Estimate) -> Misspecification | None:
+    """Misspecification that an estimate shows; None where it shows none."""
     if estimate.status != "ok":
         return None
     reasons = [_beyond_range(window, settings)]
     if not only_rounding(window.measured, estimate.residual):
-        reasons += [_alike(window, settings, estimate), _impossible(settings, estimate)]
+        reasons += [
+            _autocorrelated_residuals(window, settings, estimate),
+            _implausible_value(settings, estimate),
+        ]
     found = [one for one in reasons if one]
     if not found:
         return None
     names = [one.parameter for one in found if one.parameter]
-    said = "; ".join(one.sentence for one in found)
-    return Misspecification(names[0] if names else "", f"doubtful: {said}; --hypotheses tests more")
+    text = "; ".join(one.sentence for one in found)
+    return Misspecification(names[0] if names else "", f"doubtful: {text}; --hypotheses tests more")
 
 
 def _beyond_range(window: Window, settings: Settings) -> Misspecification | None:
-    """Readings that a gyroscope of the stated range doesn't give: that isn't where they are clipped."""
+    """Readings larger than the stated range of the gyroscope."""
     stated = settings.gyroscope_range
     if stated is None or settings.saturation == "use":
         return None
     sizes = np.abs(window.measured)
-    above = sizes > ABOVE * stated
+    above = sizes > RANGE_MARGINS * stated
     count = int(np.count_nonzero(above))
     if not count:
         return None
@@ -90,72 +92,74 @@ def _beyond_range(window: Window, settings: Settings) -> Misspecification | None
     )
 
 
-def _alike(window: Window, settings: Settings, estimate: Estimate) -> Misspecification | None:
-    """Neighbouring residuals that are alike, and which one unknown more would explain the most of them."""
-    if not is_autocorrelated(_unexplained(estimate)):
+def _autocorrelated_residuals(
+    window: Window, settings: Settings, estimate: Estimate
+) -> Misspecification | None:
+    """Autocorrelated residuals, and the additional parameter that reduces them most."""
+    if not is_autocorrelated(_model_residuals(estimate)):
         return None
     start = "neighbouring residuals are alike, and the interval doesn't cover a wrong model"
-    narrow = _with((), window, settings, estimate)
+    narrow = _refit((), window, settings, estimate)
     fits = {
-        name: _with((name,), window, settings, estimate) for name in _candidates(window, settings, estimate)
+        name: _refit((name,), window, settings, estimate) for name in _candidates(window, settings, estimate)
     }
     wider = {name: fit for name, fit in fits.items() if fit is not None and _plausible(name, fit)}
     if narrow is not None and wider:
         name, best = min(wider.items(), key=lambda one: one[1].bic)
-        falls = best.residual_std < (1.0 - LEAST_SHARE) * narrow.residual_std
-        if falls and best.bic < narrow.bic - LEAST_BIC:
-            return Misspecification(name, f"{start}; {_in_words(name, narrow, best)}")
+        falls = best.residual_std < (1.0 - LEAST_STD_REDUCTION) * narrow.residual_std
+        if falls and best.bic < narrow.bic - LEAST_BIC_REDUCTION:
+            return Misspecification(name, f"{start}; {_effect_sentence(name, narrow, best)}")
     return Misspecification("", f"{start}; no single unknown more explains it")
 
 
-def _impossible(settings: Settings, estimate: Estimate) -> Misspecification | None:
-    """The unknown that is the farthest beyond what it can be, if nobody said that it is."""
-    said: dict[str, tuple[float, str]] = {}
+def _implausible_value(settings: Settings, estimate: Estimate) -> Misspecification | None:
+    """The parameter farthest beyond its plausible limit, unless it has a prior."""
+    found: dict[str, tuple[float, str]] = {}
     for name, value, std in zip(estimate.names, estimate.values, estimate.std, strict=True):
-        if name not in LARGEST or name in settings.priors:
+        if name not in PLAUSIBLE_LIMITS or name in settings.priors:
             continue
-        limit, what = LARGEST[name]
+        limit, what = PLAUSIBLE_LIMITS[name]
         beyond = (abs(float(value)) - limit) / limit
-        if abs(float(value)) > limit + BEYOND * float(std):
+        if abs(float(value)) > limit + LIMIT_STANDARD_ERRORS * float(std):
             text = (
                 f"{name} {value:+.3g} +- {std:.2g} is too large for {what} and may stand in for something"
                 " that the model misses, which no interval covers"
             )
-            said[name] = (beyond, text)
-    if not said:
+            found[name] = (beyond, text)
+    if not found:
         return None
-    worst = max(said, key=lambda name: said[name][0])
-    return Misspecification(worst, said[worst][1])
+    worst = max(found, key=lambda name: found[name][0])
+    return Misspecification(worst, found[worst][1])
 
 
-def _unexplained(estimate: Estimate) -> Array:
-    """Residuals (n, 2), whatever the noise model; an oscillation beyond the bicycle's own is explained."""
+def _model_residuals(estimate: Estimate) -> Array:
+    """Residuals (n, 2) of the model, without an oscillation that the noise model explains."""
     return estimate.whitened if estimate.noise_model == "oscillator" else estimate.residual
 
 
 def _candidates(window: Window, settings: Settings, estimate: Estimate) -> list[str]:
-    """Parameters that were neither found nor fixed, and that the recording doesn't tell itself."""
-    told = {*estimate.names, *settings.fixed}
+    """Parameters that were neither estimated nor fixed, and that the recording doesn't determine."""
+    excluded = {*estimate.names, *settings.fixed}
     if not window.speed.constant:
-        told.add("rolling_resistance")
+        excluded.add("rolling_resistance")
     if window.steer_torque is not None or window.lean_rate_gain:  # recorded
-        told.add("lean_rate_gain")
+        excluded.add("lean_rate_gain")
     if not np.isfinite(window.yaw_rate).any():
-        told.add("mounting_pitch")
-    return [name for name in CANDIDATES if name not in told]
+        excluded.add("mounting_pitch")
+    return [name for name in CANDIDATES if name not in excluded]
 
 
-def _with(names: tuple[str, ...], window: Window, settings: Settings, estimate: Estimate) -> Estimate | None:
-    """The fit with more unknowns under white noise; None where it gives no answer."""
+def _refit(names: tuple[str, ...], window: Window, settings: Settings, estimate: Estimate) -> Estimate | None:
+    """The fit with more free parameters under white noise; None where it fails."""
     fit = fit_window(window, replace(settings, free=(*estimate.names, *names), noise="white", oscillator=()))
     return fit if fit.status == "ok" else None
 
 
 def _plausible(name: str, fit: Estimate) -> bool:
-    return name != "mounting_pitch" or abs(fit.parameters[name]) < STEEPEST
+    return name != "mounting_pitch" or abs(fit.parameters[name]) < LARGEST_MOUNTING_PITCH
 
 
-def _in_words(name: str, narrow: Estimate, best: Estimate) -> str:
+def _effect_sentence(name: str, narrow: Estimate, best: Estimate) -> str:
     value, std = best.parameters[name], float(best.std[best.names.index(name)])
     text = (
         f"with {name} free ({value:.3g} +- {std:.2g}) they fall from {narrow.residual_std:.3f} to"

@@ -1,13 +1,13 @@
-"""What the residuals of a fit say about its model: tests with a plain sentence each.
+"""Residual tests of a fit, each with one sentence.
 
-Judged are the whitened residuals, which are white, of unit variance, if model and noise are right.
+They test the whitened residuals, which are white, of unit variance, if model and noise are right.
 
-- Memory: Ljung and Box's Q (Biometrika 65 (1978), doi 10.1093/biomet/65.2.297); where samples are missing
-  only pairs that are there count, as many as each lag has (Stoffer and Toloi, Stat. Prob. Lett. 13 (1992)).
+- Autocorrelation: Ljung and Box's Q (Biometrika 65 (1978), doi 10.1093/biomet/65.2.297); where samples are
+  missing only the measured pairs of each lag count (Stoffer and Toloi, Stat. Prob. Lett. 13 (1992)).
 - Tones: Fisher's exact test for the largest ordinate of the periodogram (Proc. R. Soc. A 125 (1929), doi
   10.1098/rspa.1929.0151).
 - Normality: Jarque and Bera (Econ. Lett. 6 (1980)).
-- Size: reduced chi-square, where somebody states the noise.
+- Size: reduced chi-square, where the noise is stated.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from tms_fit.estimate import Estimate
 from tms_fit.parameters import CHANNELS
 from tms_fit.window import Window
 
-LAGS = 10  # of the Ljung-Box test, at most a fifth of the samples
-SURE = 1e-3  # a test is said to fail below this probability
-LEAST = 20  # samples of a channel; fewer say nothing
-SHIMMY = (12.0, 30.0)  # [Hz]
+LARGEST_LAG_COUNT = 10  # of the Ljung-Box test, at most a fifth of the samples
+SIGNIFICANCE_LEVEL = 1e-3  # probability below which a test fails
+LEAST_SAMPLES = 20  # of a channel, for a test
+SHIMMY_BAND_HZ = (12.0, 30.0)
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,21 @@ class ResidualTest:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing speaks against the model."""
-        return self.p_value >= SURE
+        """Whether the test does not reject the model."""
+        return self.p_value >= SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True)
 class ResidualDiagnostics:
-    """All that the residuals of one estimate say."""
+    """Tests of the residuals of one estimate."""
 
     tests: tuple[ResidualTest, ...]
     fit_percent: dict[str, float]  # per channel, NRMSE: 100 is perfect, 0 no better than the mean
-    stated: StatedNoise | None = None  # None: nobody states the noise, so that no residual is too large
+    stated: StatedNoise | None = None  # None: the noise is not stated, their size is not tested
 
     @property
     def reduced_chi_square(self) -> dict[str, float]:
-        """Mean square of the residuals per stated variance, by channel; empty where nobody states it."""
+        """Mean square of the residuals per stated variance, by channel; empty where it is not stated."""
         return {test.channel: test.statistic for test in self.tests if test.name == "chi_square"}
 
     @property
@@ -83,22 +83,22 @@ def diagnose_residuals(
 ) -> ResidualDiagnostics:
     """Tests of an estimate's residuals; none where it has no values.
 
-    stated: one sample's noise as the recording or somebody states it; without, their size is not judged.
+    stated: one sample's noise by the recording or the settings; without it, their size is not tested.
     """
     tests: list[ResidualTest] = []
     if estimate.names:
-        fitted = _fitted(estimate)
+        fitted = _unknowns_per_channel(estimate)
         for channel, whitened, residual, unknowns in zip(
             CHANNELS, estimate.whitened.T, estimate.residual.T, fitted, strict=True
         ):
-            if np.isfinite(whitened).sum() >= LEAST:
+            if np.isfinite(whitened).sum() >= LEAST_SAMPLES:
                 tests += [
-                    _memory(channel, whitened),
-                    _tone(channel, window.time, whitened),
-                    _normal(channel, whitened),
+                    _ljung_box_test(channel, whitened),
+                    _periodogram_test(channel, window.time, whitened),
+                    _normality_test(channel, whitened),
                 ]
                 if stated is not None and channel in stated.std:
-                    tests.append(_size(channel, residual, stated.std[channel], unknowns))
+                    tests.append(_chi_square_test(channel, residual, stated.std[channel], unknowns))
     return ResidualDiagnostics(tuple(tests), fit_percent(window, estimate) if estimate.names else {}, stated)
 
 
@@ -135,17 +135,6 @@ def fisher_g(power: Array) -> float:
     return min(max(total, 0.0), 1.0)
 
 
-def nis_band(sample_count: int, channels: int = 2, level: float = 0.95) -> tuple[float, float]:
-    """Band of the mean normalised innovation squared over so many samples, if the filter is right.
-
-    Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001),
-    section 5.4.
-    """
-    degrees = sample_count * channels
-    low, high = stats.chi2.ppf([(1.0 - level) / 2.0, (1.0 + level) / 2.0], degrees) / sample_count
-    return float(low), float(high)
-
-
 def fit_percent(window: Window, estimate: Estimate) -> dict[str, float]:
     """100 (1 - |measured - predicted| / |measured - its mean|) per measured channel."""
     answer = {}
@@ -158,24 +147,24 @@ def fit_percent(window: Window, estimate: Estimate) -> dict[str, float]:
 
 
 def probability(p_value: float) -> str:
-    """A probability as one reads it."""
+    """A probability as text."""
     return "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
-def _memory(channel: str, values: Array) -> ResidualTest:
-    lags = max(1, min(LAGS, int(np.isfinite(values).sum()) // 5))
+def _ljung_box_test(channel: str, values: Array) -> ResidualTest:
+    lags = max(1, min(LARGEST_LAG_COUNT, int(np.isfinite(values).sum()) // 5))
     q, p = ljung_box(values, lags)
     name = channel.replace("_", " ")
     said = (
         f"the {name}'s residuals remember those before (Ljung-Box Q = {q:.0f} over {lags} lags,"
         f" {probability(p)}): the model misses something, or the noise is coloured"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"the {name}'s residuals have no memory (Ljung-Box, {probability(p)})"
     )
     return ResidualTest("ljung_box", channel, q, p, said)
 
 
-def _tone(channel: str, time: Array, values: Array) -> ResidualTest:
+def _periodogram_test(channel: str, time: Array, values: Array) -> ResidualTest:
     spacing = float(np.median(np.diff(time)))
     rows = np.round((time - time[0]) / spacing).astype(int)  # missing samples leave holes, filled with zeros
     even = np.zeros(int(rows[-1]) + 1)
@@ -186,29 +175,29 @@ def _tone(channel: str, time: Array, values: Array) -> ResidualTest:
     peak = float(frequencies[int(np.argmax(power))])
     p = fisher_g(power)
     name = channel.replace("_", " ")
-    kind = "a shimmy" if SHIMMY[0] <= peak <= SHIMMY[1] else "an oscillation"
+    kind = "a shimmy" if SHIMMY_BAND_HZ[0] <= peak <= SHIMMY_BAND_HZ[1] else "an oscillation"
     said = (
         f"{kind} of {peak:.1f} Hz stands out of the {name}'s residuals ({probability(p)})"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"no frequency stands out of the {name}'s residuals ({probability(p)})"
     )
     return ResidualTest("periodogram", channel, peak, p, said)
 
 
-def _normal(channel: str, values: Array) -> ResidualTest:
+def _normality_test(channel: str, values: Array) -> ResidualTest:
     found = stats.jarque_bera(values[np.isfinite(values)])
     statistic, p = float(found.statistic), float(found.pvalue)
     name = channel.replace("_", " ")
     said = (
         f"the {name}'s residuals are not normal (Jarque-Bera, {probability(p)}): outliers, or clipped samples"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"the {name}'s residuals look normal (Jarque-Bera, {probability(p)})"
     )
     return ResidualTest("normality", channel, statistic, p, said)
 
 
-def _fitted(estimate: Estimate) -> list[float]:
-    """How many unknowns the samples of each channel pay for: traces of the hat matrix, their sum is all."""
+def _unknowns_per_channel(estimate: Estimate) -> list[float]:
+    """Degrees of freedom that the fit takes from each channel: traces of the hat matrix, summing to all."""
     good = np.isfinite(estimate.residual)
     if not estimate.jacobian.size:
         return [len(estimate.names) / max(int(good.any(axis=0).sum()), 1)] * len(CHANNELS)
@@ -219,7 +208,7 @@ def _fitted(estimate: Estimate) -> list[float]:
     return found
 
 
-def _size(channel: str, residual: Array, std: float, unknowns: float) -> ResidualTest:
+def _chi_square_test(channel: str, residual: Array, std: float, unknowns: float) -> ResidualTest:
     good = residual[np.isfinite(residual)]
     degrees = max(len(good) - unknowns, 1.0)
     reduced = float(np.sum(good**2)) / std**2 / degrees
@@ -228,7 +217,7 @@ def _size(channel: str, residual: Array, std: float, unknowns: float) -> Residua
     said = (
         f"the {name}'s residuals are larger than the stated noise allows (reduced chi-square {reduced:.2f},"
         f" {probability(p)})"
-        if p < SURE
+        if p < SIGNIFICANCE_LEVEL
         else f"the {name}'s residuals are no larger than the stated noise (reduced chi-square {reduced:.2f})"
     )
     return ResidualTest("chi_square", channel, reduced, p, said)

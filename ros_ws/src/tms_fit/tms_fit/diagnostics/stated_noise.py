@@ -1,4 +1,4 @@
-"""The noise of one sample as somebody states it: against it, residuals can be too large."""
+"""Stated noise of one sample, for the comparison with the residuals."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class StatedNoise:
 
 
 def stated_noise(recording: Recording, settings: Settings) -> StatedNoise | None:
-    """What the settings say, else the covariance in the recording's IMU messages; None: nobody states it.
+    """Noise by the settings, else by the covariance in the recording's IMU messages; None: not stated.
 
     Variances of the sensor's axes are turned into those of the rear frame. The yaw rate is taken as the
     downward axis, which it is to second order of the lean angle.

@@ -74,9 +74,9 @@ def _agreement(fit: RecordingFit, strike: StrikeFit, estimate: Estimate) -> list
 
 
 def _doubt(strike: StrikeFit) -> list[Element | str]:
-    if strike.doubt is None:
+    if strike.misspecification is None:
         return []
-    return [" ", element("strong", as_sentence(strike.doubt.sentence), class_="caution doubt")]
+    return [" ", element("strong", as_sentence(strike.misspecification.sentence), class_="caution doubt")]
 
 
 def _caution(estimate: Estimate) -> Element | None:

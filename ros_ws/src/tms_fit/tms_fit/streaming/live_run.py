@@ -110,7 +110,7 @@ class LiveRun:
         Raises ParameterError for an unknown estimator.
         """
         check_names(settings.estimators)
-        response = FreeResponse(fit.strike, fit.stretch, fit.ending)
+        response = FreeResponse(fit.strike, fit.segment, fit.window_end)
         return fit_strike(self._tracker.resized(response, settings.window), bicycle, settings)
 
     def forget(self) -> None:

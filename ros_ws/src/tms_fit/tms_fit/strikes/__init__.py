@@ -1,1 +1,1 @@
-"""Strikes found in rates, sample by sample, each with its reasons."""
+"""Strike detection, classification, strike time and window end."""

@@ -1,4 +1,4 @@
-"""Whether a change of the lean rate is a strike, and why: judged on the samples around it, once."""
+"""Classification of a change of the lean rate as impulse, push or neither, by the samples around it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from tms_model.bicycle import Array
 from tms_fit.strikes.edge import Edge, fit_edge
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
 
-LEAST_SAMPLES = 10  # that show the noise; before them no change can be told from it
-MEAN = 50_000_000  # [ns] of the running mean: one period of a 20 Hz shimmy
-SUDDEN = 0.03  # [s]; a rise as short as this is no part of a push
-OUTLIER = 2.0  # largest step per change of the running mean; one sample among five has 5
-KINKED = 0.43  # largest kink per change; a push of 0.15 s has 0.4 at most, an impulse of 0.08 s 0.45 to 0.6
+LEAST_SAMPLES = 10  # that determine the noise; with fewer no change is detected
+MEAN_LENGTH_NS = 50_000_000  # [ns] of the running mean: one period of a 20 Hz shimmy
+LONGEST_SUDDEN_RISE_S = 0.03  # a shorter rise is no part of a push
+LARGEST_STEP_RATIO = 2.0  # largest step per change of the running mean; one sample among five has 5
+LEAST_KINK_RATIO = 0.43  # kink per change; a push of 0.15 s has 0.4 at most, an impulse of 0.08 s 0.45 to 0.6
 SWING_BACK = "the swing back from the last strike: soon after it, and not three times as large"
-BESIDE = 0.025  # [s] before the onset and after the end of a change, whose means tell how large it is
+LEVEL_LENGTH_S = 0.025  # before the onset and after the end of a change, whose levels give its size
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
-    """The last two seconds, as the detector sees them."""
+class DetectorHistory:
+    """Samples, bins and means of the last two seconds."""
 
     time: NDArray[np.int64]  # (n,) [ns] of the samples
     rate: Array  # (n,) [rad/s]
@@ -34,12 +34,14 @@ class Segment:
     last: Strike | None
 
 
-def judge_kink(stretch: Segment, trigger_ns: int, needed: float, settings: StrikeSettings) -> Strike | None:
-    """A sudden change, by the fit of its edge; None when it was not sudden or not large enough."""
-    time, rate = stretch.time, stretch.rate
+def classify_kink(
+    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeSettings
+) -> Strike | None:
+    """A sudden change, by the fit of its edge; None where it is not sudden or not large enough."""
+    time, rate = history.time, history.rate
     seconds = (time - trigger_ns) / NANOSECONDS
     edge = fit_edge(seconds, rate)
-    if edge is None or not _is_sudden(edge, stretch, trigger_ns, settings):
+    if edge is None or not _is_sudden(edge, history, trigger_ns, settings):
         return None
     if not _is_large(edge, seconds, rate, settings):
         return None
@@ -50,7 +52,7 @@ def judge_kink(stretch: Segment, trigger_ns: int, needed: float, settings: Strik
     else:
         first = int(np.searchsorted(time, end_ns))
         onset = max(0, int(np.searchsorted(time, end_ns - round(edge.rise * NANOSECONDS))) - 1)
-    if not 0 < first < len(time) or _same_again(stretch.last, int(time[first]), settings):
+    if not 0 < first < len(time) or _same_again(history.last, int(time[first]), settings):
         return None
     return Strike(
         time_ns=int(time[first]),
@@ -68,40 +70,40 @@ def judge_kink(stretch: Segment, trigger_ns: int, needed: float, settings: Strik
     )
 
 
-def judge_swing(
-    stretch: Segment, trigger_ns: int, needed: float, settings: StrikeSettings
+def classify_swing(
+    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeSettings
 ) -> Strike | Rejected:
-    """A push by hand, or why it is none: too round, too small or too soon."""
-    time, rate = stretch.bin_time, stretch.bin_rate
+    """A push by hand, or the reason to reject it: too round, too small or too soon."""
+    time, rate = history.bin_time, history.bin_rate
     trigger = int(np.searchsorted(time, trigger_ns))
-    base = _base(stretch, trigger, settings)
+    base = _base(history, trigger, settings)
     sign = math.copysign(1.0, rate[trigger] - rate[base])
     noise = noise_of(rate[: trigger + 1])
     smooth, spread = _running_mean(time, sign * rate)
     peak = trigger + int(np.argmax(smooth[trigger:]))
     step = base + int(np.argmax(np.diff(sign * rate[base : peak + 1])))
     jump, level = sign * (rate[step + 1] - rate[step]), smooth[peak] - sign * rate[base]
-    if jump > OUTLIER * level:
+    if jump > LARGEST_STEP_RATIO * level:
         return Rejected(int(time[step + 1]), float(sign * level), "one sample alone stands out")
     sharp = bool(jump > 0.5 * level)
     start = step + 1 if sharp else _top(time, smooth, base, peak, noise * spread)
     change = float(rate[start] if sharp else sign * smooth[start]) - float(rate[base])
-    refusal = _refusal(stretch, (base, start), change, noise, settings)
+    refusal = _refusal(history, (base, start), change, noise, settings)
     if refusal:
         return Rejected(int(time[start]), change, refusal)
     quiet = np.flatnonzero(sign * (rate[base:start] - rate[base]) <= 3.0 * noise)
     begin = step if sharp else base + int(quiet[-1])
     rise = float(time[start] - time[begin]) / NANOSECONDS
-    row = max(1, int(np.argmin(np.abs(stretch.time - time[start]))))
-    onset = int(np.argmin(np.abs(stretch.time - time[begin])))
+    row = max(1, int(np.argmin(np.abs(history.time - time[start]))))
+    onset = int(np.argmin(np.abs(history.time - time[begin])))
     return Strike(
-        time_ns=int(stretch.time[row]),
-        before_ns=int(stretch.time[row - 1]),
-        onset_ns=int(stretch.time[onset]),
+        time_ns=int(history.time[row]),
+        before_ns=int(history.time[row - 1]),
+        onset_ns=int(history.time[onset]),
         change=change,
-        noise=noise_of(stretch.rate[: onset + 1]),
-        sharp=sharp and int(stretch.time[row]) == int(time[start]),  # a mean tells no instant between samples
-        end_ns=int(stretch.time[row]),
+        noise=noise_of(history.rate[: onset + 1]),
+        sharp=sharp and int(history.time[row]) == int(time[start]),  # a mean has no instant between samples
+        end_ns=int(history.time[row]),
         end_std=0.0,
         kind="strike" if sharp else "push",
         rise=rise,
@@ -111,7 +113,7 @@ def judge_swing(
     )
 
 
-def too_soon(last: Strike | None, strike: Strike, settings: StrikeSettings) -> bool:
+def is_swing_back(last: Strike | None, strike: Strike, settings: StrikeSettings) -> bool:
     """Whether a push may be the swing back from the last strike: soon after, and not three times as large."""
     if last is None or strike.time_ns - last.time_ns >= settings.refractory * NANOSECONDS:
         return False
@@ -135,29 +137,31 @@ def _why(edge: Edge, spacing: float, needed: float) -> str:
     )
 
 
-def _is_sudden(edge: Edge, stretch: Segment, trigger_ns: int, settings: StrikeSettings) -> bool:
+def _is_sudden(edge: Edge, history: DetectorHistory, trigger_ns: int, settings: StrikeSettings) -> bool:
     """Whether a short rise explains the change, not only one of the two bends of a push."""
     if edge.push_share >= 0.5:
         return False
-    if edge.sharp or edge.rise < SUDDEN:
+    if edge.sharp or edge.rise < LONGEST_SUDDEN_RISE_S:
         return True
     rise = settings.rise * NANOSECONDS
-    around = np.abs(stretch.bin_time - trigger_ns) <= rise
-    near = around & (stretch.bin_time <= trigger_ns + 2 * MEAN)
-    return float(np.abs(stretch.kink[near]).max()) > KINKED * float(np.ptp(stretch.bin_mean[around]))
+    around = np.abs(history.bin_time - trigger_ns) <= rise
+    near = around & (history.bin_time <= trigger_ns + 2 * MEAN_LENGTH_NS)
+    return float(np.abs(history.kink[near]).max()) > LEAST_KINK_RATIO * float(
+        np.ptp(history.bin_mean[around])
+    )
 
 
 def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeSettings) -> bool:
     """Whether the fitted jump, or else the rise from before to after it, is as large as a strike's.
 
-    What the bicycle does at once is part of the rise; a jump of 50 ms and a slope that changes there can't be
-    told apart by their sizes, only by when they end.
+    The bicycle's immediate response is part of the rise; a jump of 50 ms and a change of slope there differ
+    in when they end, not in their sizes.
     """
     if abs(edge.change) - edge.change_std >= settings.least_change:
         return True
     onset = edge.end - edge.rise
-    before = rate[(seconds >= onset - BESIDE) & (seconds < onset)]
-    after = rate[(seconds >= edge.end) & (seconds <= edge.end + BESIDE)]
+    before = rate[(seconds >= onset - LEVEL_LENGTH_S) & (seconds < onset)]
+    after = rate[(seconds >= edge.end) & (seconds <= edge.end + LEVEL_LENGTH_S)]
     if not len(before) or not len(after):
         return False
     rise = float(np.median(after) - np.median(before))  # one outlier is no rise
@@ -173,25 +177,25 @@ def _same_again(last: Strike | None, time_ns: int, settings: StrikeSettings) -> 
     return last is not None and time_ns - last.time_ns < 0.5 * settings.rise * NANOSECONDS
 
 
-def _base(stretch: Segment, trigger: int, settings: StrikeSettings) -> int:
+def _base(history: DetectorHistory, trigger: int, settings: StrikeSettings) -> int:
     """The bin that a change is measured from: the farthest of those before it."""
-    since = stretch.bin_time[trigger] - settings.rise * NANOSECONDS
-    if stretch.last is not None:
-        since = max(since, stretch.last.time_ns)
-    first = min(int(np.searchsorted(stretch.bin_time, since)), trigger - 1)
-    rate = stretch.bin_rate
+    since = history.bin_time[trigger] - settings.rise * NANOSECONDS
+    if history.last is not None:
+        since = max(since, history.last.time_ns)
+    first = min(int(np.searchsorted(history.bin_time, since)), trigger - 1)
+    rate = history.bin_rate
     return first + int(np.argmax(np.abs(rate[trigger] - rate[first:trigger])))
 
 
 def _refusal(
-    stretch: Segment, rows: tuple[int, int], change: float, noise: float, settings: StrikeSettings
+    history: DetectorHistory, rows: tuple[int, int], change: float, noise: float, settings: StrikeSettings
 ) -> str:
-    """Why a change between two rows of the bins is no push, or an empty text."""
-    time, rate, (base, start) = stretch.bin_time, stretch.bin_rate, rows
+    """The reason why a change between two rows of the bins is no push, or an empty text."""
+    time, rate, (base, start) = history.bin_time, history.bin_rate, rows
     # The change is measured from the farthest of many samples: noise alone makes up two deviations.
     if abs(change) - 2.0 * noise < settings.least_change:
         return f"only {abs(change):.3f} rad/s, with noise of {noise:.3f} rad/s"
-    around = (time >= time[base] - MEAN) & (time <= time[start] + MEAN)
+    around = (time >= time[base] - MEAN_LENGTH_NS) & (time <= time[start] + MEAN_LENGTH_NS)
     steepest = _steepest(time[around], rate[around], noise)
     if steepest * 0.2 < settings.steepness * abs(change):
         return f"too round: at most {steepest:.2f} rad/s^2 over 0.1 s, {abs(change):.3f} rad/s in all"
@@ -206,8 +210,8 @@ def _top(time: NDArray[np.int64], smooth: Array, base: int, peak: int, noise: fl
 
 def _running_mean(time: NDArray[np.int64], values: Array) -> tuple[Array, float]:
     """Centred mean over 50 ms, shorter at the ends, (n,); and the share of white noise that is left."""
-    low = np.searchsorted(time, time - MEAN // 2)
-    high = np.searchsorted(time, time + MEAN // 2, side="right")
+    low = np.searchsorted(time, time - MEAN_LENGTH_NS // 2)
+    high = np.searchsorted(time, time + MEAN_LENGTH_NS // 2, side="right")
     sums = np.concatenate([[0.0], np.cumsum(values)])
     return (sums[high] - sums[low]) / (high - low), 1.0 / math.sqrt(float(np.median(high - low)))
 

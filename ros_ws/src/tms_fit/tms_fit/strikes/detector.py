@@ -1,19 +1,19 @@
-"""Strikes found from the lean rate alone, sample by sample: a live run and a recorded one find the same.
+"""Sequential strike detector on the lean rate alone.
 
 A strike (an impulse, or a push by hand of up to 0.3 s) changes the lean rate faster than the bicycle does by
-itself. All lengths are in seconds, so that any sample rate from 25 Hz to 4 kHz will do; samples closer than
-5 ms are averaged for the search, and a running mean over 50 ms, one period of a 20 Hz shimmy, hides that and
-most of the noise. Two things raise suspicion:
+itself. All lengths are in seconds, for any sample rate from 25 Hz to 4 kHz; samples closer than 5 ms are
+averaged for the search, and a running mean over 50 ms, one period of a 20 Hz shimmy, suppresses that and most
+of the noise. Two features make a change a candidate:
 
-- a swing: the mean has changed within `rise` by more than `least_change`, six times its noise, and the fading
-  memory of the swings before (a bicycle that rings down swings less each time);
-- a kink: three successive means of 50 ms depart from a line by more than `least_change`, six times what is
-  usual.
+- a swing: the mean has changed within `rise` by more than `least_change`, six times its noise, and the
+  exponentially decaying maximum of earlier swings (a bicycle that rings down swings less each time);
+- a kink: three successive means of 50 ms depart from a line by more than `least_change` and six times their
+  usual departure.
 
-`rise` seconds later the change is judged (`tms_fit.strikes.classification`). After a kink,
-`tms_fit.strikes.edge` fits it: when it most likely took less than 0.14 s it is a strike, and the free
-response starts where the fitted impulse ends (when no sample lies within it, the strike is `sharp`: its
-instant is left to the fit of the bicycle). Else it may be a push: steep (its steepest 0.1 s, kept up for
+`rise` seconds later the change is classified (`tms_fit.strikes.classification`). After a kink,
+`tms_fit.strikes.edge` fits it: if it most likely took less than 0.14 s it is a strike, and the free response
+starts where the fitted impulse ends (if no sample lies within it, the strike is `sharp`: its time is
+estimated with the bicycle's model). Otherwise it may be a push: steep (its steepest 0.1 s, kept up for
 0.2 s, would make up the change; a weave oscillation is rounder), not the swing back from the last strike; and
 its free response starts at the extremum of the lean rate, or where its level is first reached when it then
 stays.
@@ -29,23 +29,23 @@ import numpy as np
 
 from tms_fit.strikes.classification import (
     LEAST_SAMPLES,
-    MEAN,
+    MEAN_LENGTH_NS,
     SWING_BACK,
-    Segment,
-    judge_kink,
-    judge_swing,
-    too_soon,
+    DetectorHistory,
+    classify_kink,
+    classify_swing,
+    is_swing_back,
 )
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
 
-LONGEST_GAP = 0.15  # [s] without samples; across a longer one no change is known to be sudden
-BIN = 5_000_000  # [ns]; samples closer than this are averaged for the search
-KEPT = 2 * NANOSECONDS  # [ns] of samples that a change is judged by
-MANY_TIMES = 6.0  # the noise: less is no change
+LONGEST_GAP_S = 0.15  # without samples; across a longer one no change is known to be sudden
+BIN_LENGTH_NS = 5_000_000  # [ns]; samples closer than this are averaged for the search
+HISTORY_NS = 2 * NANOSECONDS  # [ns] of samples for the classification of a change
+NOISE_FACTOR = 6.0  # least change per noise
 
 
 class StrikeDetector:
-    """Finds strikes in a stream of lean rates. Same samples, same strikes, whoever feeds them."""
+    """Strikes in a stream of lean rates; the result depends on the samples alone."""
 
     def __init__(self, settings: StrikeSettings | None = None) -> None:
         self._settings = settings or StrikeSettings()
@@ -57,7 +57,7 @@ class StrikeDetector:
         self._mean: list[float] = []  # [rad/s] running means
         self._memory: list[float] = []  # fading memory of swings, after each bin
         self._kinks: list[float] = []  # [rad/s]
-        self._swung: tuple[int, float] | None = None  # when [ns] a swing raised suspicion, needed [rad/s]
+        self._swung: tuple[int, float] | None = None  # candidate swing: when [ns], threshold [rad/s]
         self._kinked: tuple[int, float] | None = None  # the same for a kink
         self._last: deque[Strike] = deque(maxlen=2)
         self.rejected: deque[Rejected] = deque(maxlen=200)
@@ -73,38 +73,38 @@ class StrikeDetector:
         return self._settings.least_change
 
     def push(self, time_ns: int, lean_rate: float) -> Strike | None:
-        """Take one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
+        """Process one sample (ascending times, [rad/s]); return the strike that it completes, if any."""
         if not math.isfinite(lean_rate):
             return None
         strike = None
-        if self._raw and time_ns - self._raw[-1][0] > LONGEST_GAP * NANOSECONDS:
+        if self._raw and time_ns - self._raw[-1][0] > LONGEST_GAP_S * NANOSECONDS:
             self._close_bin()
-            strike = self._judge()  # on what there is; across the gap no change is known to be sudden
-            self._forget()
-        if self._bin and time_ns - self._bin[0][0] >= BIN:
+            strike = self._classify()  # on what there is; across the gap no change is known to be sudden
+            self._clear()
+        if self._bin and time_ns - self._bin[0][0] >= BIN_LENGTH_NS:
             self._close_bin()
-            suspicions = [one[0] for one in (self._swung, self._kinked) if one]
-            if suspicions and time_ns - max(suspicions) >= self._settings.rise * NANOSECONDS:
-                strike = self._judge()
+            candidates = [one[0] for one in (self._swung, self._kinked) if one]
+            if candidates and time_ns - max(candidates) >= self._settings.rise * NANOSECONDS:
+                strike = self._classify()
         self._bin.append((time_ns, lean_rate))
         self._raw.append((time_ns, lean_rate))
-        while self._raw[-1][0] - self._raw[0][0] > KEPT:
+        while self._raw[-1][0] - self._raw[0][0] > HISTORY_NS:
             self._raw.popleft()
         return strike
 
     def withdraw(self, why: str) -> None:
-        """Take back the last strike: who knows the bicycle found it to be something else."""
+        """Withdraw the last strike, with the reason."""
         strike = self._last.pop()
         self.rejected.append(Rejected(strike.time_ns, strike.change, why))
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._bin.clear()
         for series in (self._raw, self._time, self._rate, self._mean, self._memory, self._kinks):
             series.clear()
         self._swung = self._kinked = None
 
     def _close_bin(self) -> None:
-        """Use the open bin; raise suspicion where it is due."""
+        """Process the open bin; note candidates."""
         if not self._bin:
             return
         (time_ns, rate), count = self._bin[0], len(self._bin)
@@ -117,27 +117,27 @@ class StrikeDetector:
         kink = self._kink(time_ns, mean)
         self._append(time_ns, rate, mean, swing, kink)
         if len(self._time) > LEAST_SAMPLES:
-            self._suspect(time_ns, swing, earlier, abs(kink))
+            self._note_candidates(time_ns, swing, earlier, abs(kink))
 
     def _running_mean(self, time_ns: int, rate: float) -> float:
         """Mean over 50 ms; where these aren't whole samples, the first and the last count in part."""
-        first = bisect_right(self._time, time_ns - MEAN)
+        first = bisect_right(self._time, time_ns - MEAN_LENGTH_NS)
         recent = self._rate[first:]
         if not recent:
             return rate
         recent.append(rate)
         spacing = (time_ns - self._time[first]) / (len(recent) - 1)
-        excess = min(max(len(recent) - MEAN / spacing, 0.0), 1.0)
+        excess = min(max(len(recent) - MEAN_LENGTH_NS / spacing, 0.0), 1.0)
         return (sum(recent) - 0.5 * excess * (recent[0] + rate)) / (len(recent) - excess)
 
-    def _suspect(self, time_ns: int, swing: float, earlier: float, kink: float) -> None:
-        """Note the first swing and the first kink that nothing usual makes."""
+    def _note_candidates(self, time_ns: int, swing: float, earlier: float, kink: float) -> None:
+        """Note the first swing and the first kink beyond their thresholds."""
         least = self._settings.least_change
-        # The noise, a median, is asked for last: on a quiet ride that is hardly ever.
+        # The noise, a median, comes last: a quiet ride hardly ever needs it.
         if self._kinked is None and kink > least and kink > self._usual_kink():
             self._kinked = (time_ns, max(least, self._usual_kink()))
         if self._swung is None and swing > max(least, earlier):
-            noise = MANY_TIMES * self._noise_of_means()
+            noise = NOISE_FACTOR * self._noise_of_means()
             if swing > noise:
                 self._swung = (time_ns, max(least, earlier, noise))
 
@@ -150,8 +150,8 @@ class StrikeDetector:
     def _kink(self, time_ns: int, mean: float) -> float:
         """The mean now less what the two means of the 100 ms before it lead to."""
         jitter = 1_000_000  # [ns] of stamps
-        one = bisect_right(self._time, time_ns - MEAN + jitter) - 1
-        other = bisect_right(self._time, time_ns - 2 * MEAN + jitter, 0, max(one, 0)) - 1
+        one = bisect_right(self._time, time_ns - MEAN_LENGTH_NS + jitter) - 1
+        other = bisect_right(self._time, time_ns - 2 * MEAN_LENGTH_NS + jitter, 0, max(one, 0)) - 1
         return mean - 2.0 * self._mean[one] + self._mean[other] if other >= 0 else 0.0
 
     def _earlier_memory(self, time_ns: int) -> float:
@@ -171,34 +171,34 @@ class StrikeDetector:
         self._mean.append(mean)
         self._memory.append(swing)
         self._kinks.append(kink)
-        if time_ns - self._time[0] > 2 * KEPT:  # seldom, since all that stays is moved
+        if time_ns - self._time[0] > 2 * HISTORY_NS:  # seldom, since all that stays is moved
             old = self._first_kept()
             for series in (self._time, self._rate, self._mean, self._memory, self._kinks):
                 del series[:old]
 
     def _first_kept(self) -> int:
-        """Row of the first bin that a change is judged by."""
-        return bisect_left(self._time, self._time[-1] - KEPT)
+        """Row of the first bin for the classification of a change."""
+        return bisect_left(self._time, self._time[-1] - HISTORY_NS)
 
     def _usual_kink(self) -> float:
         """Six times the standard deviation of the kinks, from their median size."""
-        return MANY_TIMES * 1.4826 * float(np.median(np.abs(np.array(self._kinks[self._first_kept() :]))))
+        return NOISE_FACTOR * 1.4826 * float(np.median(np.abs(np.array(self._kinks[self._first_kept() :]))))
 
     def _noise_of_means(self) -> float:
         """Standard deviation of the running means: a kink of white noise has six times their variance."""
-        return self._usual_kink() / MANY_TIMES / math.sqrt(6.0)
+        return self._usual_kink() / NOISE_FACTOR / math.sqrt(6.0)
 
-    def _judge(self) -> Strike | None:
-        """The strike that raised suspicion, if there is one."""
+    def _classify(self) -> Strike | None:
+        """The strike among the candidates, if there is one."""
         swung, kinked, self._swung, self._kinked = self._swung, self._kinked, None, None
         if not (swung or kinked):
             return None
-        stretch = self._stretch()
-        strike: Strike | Rejected | None = judge_kink(stretch, *kinked, self._settings) if kinked else None
+        history = self._history()
+        strike: Strike | Rejected | None = classify_kink(history, *kinked, self._settings) if kinked else None
         if strike is None and swung:
-            strike = judge_swing(stretch, *swung, self._settings)
+            strike = classify_swing(history, *swung, self._settings)
             last = self._last[-1] if self._last else None
-            if isinstance(strike, Strike) and too_soon(last, strike, self._settings):
+            if isinstance(strike, Strike) and is_swing_back(last, strike, self._settings):
                 strike = Rejected(strike.time_ns, strike.change, SWING_BACK)
         if isinstance(strike, Rejected):
             self.rejected.append(strike)
@@ -207,9 +207,9 @@ class StrikeDetector:
             self._last.append(strike)
         return strike
 
-    def _stretch(self) -> Segment:
+    def _history(self) -> DetectorHistory:
         first = self._first_kept()
-        return Segment(
+        return DetectorHistory(
             time=np.array([when for when, _ in self._raw], dtype=np.int64),
             rate=np.array([rate for _, rate in self._raw]),
             bin_time=np.array(self._time[first:], dtype=np.int64),

@@ -1,4 +1,4 @@
-"""The instant at which an impulse ends, from the lean rate around it: all rises that it may have had.
+"""End of an impulse from the lean rate around it, averaged over its possible rises.
 
 Before the impulse the lean rate is a parabola over the short stretch looked at, after it another one; between
 them it rises as under half a sine of force, (1 - cos(pi s / rise)) / 2. For every end and rise on a grid the
@@ -16,22 +16,22 @@ import numpy as np
 from tms_model.bicycle import Array
 
 RISES = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.3)  # [s]
-SHORT = 0.005  # [s]; beyond it a rise twice as long is half as likely, before anything is measured
-PUSH = 0.14  # [s]; a change that took longer is called a push
-HALF = 0.14  # [s] looked at on either side, more where that is fewer than 7 samples
-REACH = 0.045  # [s] on either side of where the middle of the change is looked for
-BACK = 0.02  # [s] from where a change was noticed to where its middle is looked for
-STEP = 0.002  # [s] of the grid of ends
-FINEST = 0.0025  # [s]; samples closer than this are averaged first
-SHIMMY = (12.0, 30.0)  # [Hz]
-HIGHEST = 0.46  # of a shimmy's frequency, per sample rate
-PROMINENT = 15.0  # power of a shimmy's peak, per median power of its neighbours
-UNKNOWNS = 6  # the parabola before, the jump, slope and curvature added after it
+RISE_SCALE_S = 0.005  # of the prior: beyond it a rise twice as long is half as likely
+LONGEST_IMPULSE_S = 0.14  # a longer change is a push
+HALF_LENGTH_S = 0.14  # fitted on either side, more where that is fewer than 7 samples
+MIDDLE_SEARCH_S = 0.045  # on either side of the expected middle of the change
+NOTICE_DELAY_S = 0.02  # from the expected middle of a change to its detection
+GRID_STEP_S = 0.002  # of the grid of ends
+LEAST_SPACING_S = 0.0025  # samples closer than this are averaged first
+SHIMMY_BAND_HZ = (12.0, 30.0)
+HIGHEST_FREQUENCY_RATIO = 0.46  # of a shimmy per sample rate
+PEAK_POWER_RATIO = 15.0  # least power of a shimmy's peak per median power
+UNKNOWN_COUNT = 6  # the parabola before, the jump, slope and curvature added after it
 
 
 @dataclass(frozen=True)
 class Edge:
-    """Where a sudden change ends and how it went. Times in seconds, on the caller's axis."""
+    """End, size and duration of a sudden change. Times in seconds, on the caller's axis."""
 
     end: float
     end_std: float
@@ -40,58 +40,59 @@ class Edge:
     change_std: float  # [rad/s]
     sharp: bool  # more likely than not no sample lies within the rise
     step: float  # the sample before a sharp change; else NaN
-    push_share: float  # weight of the rises longer than PUSH
+    push_share: float  # weight of the rises longer than LONGEST_IMPULSE_S
     shimmy: float  # [Hz], 0: none seen
 
 
 def fit_edge(time: Array, rate: Array) -> Edge | None:
-    """The edge just before time zero, where a change was noticed; None where there are too few samples.
+    """The edge just before time zero, where a change was detected; None where there are too few samples.
 
     time, rate: (n,) ascending [s], [rad/s].
     """
     time, rate = thinned(time, rate)
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    near, half, reach = -max(BACK, spacing), max(HALF, 7.0 * spacing), max(REACH, 1.5 * spacing)
+    near, half = -max(NOTICE_DELAY_S, spacing), max(HALF_LENGTH_S, 7.0 * spacing)
+    reach = max(MIDDLE_SEARCH_S, 1.5 * spacing)
     used = (time >= near - half) & (time <= near + half)
     x, y = time[used], rate[used]
     quiet = time < near - reach
     frequency = shimmy_frequency(time[quiet], rate[quiet])
-    unknowns = UNKNOWNS + (2 if frequency else 0)
+    unknowns = UNKNOWN_COUNT + (2 if frequency else 0)
     if len(x) < unknowns + 3 or (x < near).sum() < 3 or (x > near).sum() < 3:
         return None
-    middles = near + np.arange(-reach, reach, max(STEP, spacing / 8.0))
+    middles = near + np.arange(-reach, reach, max(GRID_STEP_S, spacing / 8.0))
     ends = np.array([middles + rise / 2.0 for rise in RISES])
     fits = [_residual_sums(_columns(x, e, r, half, frequency), y) for e, r in zip(ends, RISES, strict=True)]
     sums, jumps, jump_variances = (np.array([fit[k] for fit in fits]) for k in range(3))
     variance = max(float(sums.min()) / (len(x) - unknowns - 2), 1e-12 * float(np.var(y)) + 1e-300)
-    weight = np.exp(-0.5 * (sums - sums.min()) / variance) / (1.0 + np.array(RISES)[:, None] / SHORT)
+    weight = np.exp(-0.5 * (sums - sums.min()) / variance) / (1.0 + np.array(RISES)[:, None] / RISE_SCALE_S)
     weight /= weight.sum()
     end, change = float((weight * ends).sum()), float((weight * jumps).sum())
     share, step = between_samples(x, ends, np.array(RISES), weight)
     return Edge(
         end=end,
-        end_std=float(np.sqrt((weight * (ends - end) ** 2).sum() + STEP**2 / 12.0)),
+        end_std=float(np.sqrt((weight * (ends - end) ** 2).sum() + GRID_STEP_S**2 / 12.0)),
         rise=float(weight.sum(axis=1) @ np.array(RISES)),
         change=change,
         change_std=float(np.sqrt((weight * (variance * jump_variances + (jumps - change) ** 2)).sum())),
-        sharp=share > 0.5 and spacing > FINEST,
+        sharp=share > 0.5 and spacing > LEAST_SPACING_S,
         step=step,
-        push_share=float(weight[np.array(RISES) > PUSH].sum()),
+        push_share=float(weight[np.array(RISES) > LONGEST_IMPULSE_S].sum()),
         shimmy=frequency,
     )
 
 
 def thinned(time: Array, rate: Array) -> tuple[Array, Array]:
-    """Means of as many neighbours as fit into `FINEST` seconds; time (n,), rate (n, ...)."""
+    """Means of as many neighbours as fit into `LEAST_SPACING_S` seconds; time (n,), rate (n, ...)."""
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    count = max(1, int(FINEST / spacing + 1e-6))
+    count = max(1, int(LEAST_SPACING_S / spacing + 1e-6))
     whole = len(time) // count * count
     rates = rate[:whole].reshape(-1, count, *rate.shape[1:])
     return time[:whole].reshape(-1, count).mean(axis=1), rates.mean(axis=1)
 
 
 def between_samples(x: Array, ends: Array, rises: Array, weight: Array) -> tuple[float, float]:
-    """Weight of the rises (r,) that no sample sees, and the sample before the likeliest place of those.
+    """Weight of the rises (r,) between two samples, and the sample before the likeliest place of those.
 
     x (n,) samples; ends, weight (r, m).
     """
@@ -108,17 +109,17 @@ def shimmy_frequency(time: Array, rate: Array) -> float:
     x, y = time[recent], rate[recent]
     if len(x) < 30:
         return 0.0
-    highest = min(SHIMMY[1], HIGHEST * (len(x) - 1) / float(x[-1] - x[0]))
+    highest = min(SHIMMY_BAND_HZ[1], HIGHEST_FREQUENCY_RATIO * (len(x) - 1) / float(x[-1] - x[0]))
     trend = np.polynomial.Polynomial.fit(x, y, 4)
     y = (y - trend(x)) * np.hanning(len(x))
-    tones = np.arange(SHIMMY[0], highest, 0.25)
+    tones = np.arange(SHIMMY_BAND_HZ[0], highest, 0.25)
     power = np.abs(np.exp(-2j * np.pi * np.outer(tones, x - x[0])) @ y) ** 2
     best = int(np.argmax(power))
-    return float(tones[best]) if power[best] > PROMINENT * np.median(power) else 0.0
+    return float(tones[best]) if power[best] > PEAK_POWER_RATIO * np.median(power) else 0.0
 
 
 def _columns(x: Array, ends: Array, rise: float, half: float, frequency: float) -> Array:
-    """What the lean rate is linear in, for each end: (m, n, p)."""
+    """Columns of the linear model of the lean rate, for each end: (m, n, p)."""
     since = (x - ends[:, None]) / half
     after = np.maximum(since, 0.0)
     if rise > 0.0:

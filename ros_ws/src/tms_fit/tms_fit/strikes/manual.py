@@ -1,4 +1,4 @@
-"""Strikes at instants that somebody states, in place of a detector."""
+"""Manually specified strikes, in place of a detector."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from tms_fit.strikes.classification import noise_of
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
 
-KEPT = 200  # samples that show the noise
+NOISE_SAMPLES = 200  # from which the noise is estimated
 
 
 class ManualStrikes:
-    """Takes the samples that a `StrikeDetector` takes; answers with the strikes at the given times [ns]."""
+    """Strikes at given times [ns], with the interface of `StrikeDetector`."""
 
     def __init__(self, times_ns: tuple[int, ...]) -> None:
         self._open = deque(sorted(times_ns))
-        self._recent: deque[tuple[int, float]] = deque(maxlen=KEPT)
+        self._recent: deque[tuple[int, float]] = deque(maxlen=NOISE_SAMPLES)
         self.rejected: deque[Rejected] = deque()
 
     @property
@@ -28,11 +28,11 @@ class ManualStrikes:
 
     @property
     def least_change(self) -> float:
-        """Change of the lean rate [rad/s] that a strike makes at least: any will do."""
+        """Least change of the lean rate [rad/s] by a strike: none."""
         return 0.0
 
     def push(self, time_ns: int, lean_rate: float) -> Strike | None:
-        """Take one sample; return the strike whose free response it begins, if any."""
+        """Process one sample; return the strike whose free response it begins, if any."""
         before_ns, before = self._recent[-1] if self._recent else (time_ns - 1, math.nan)
         noise = noise_of(np.array([rate for _, rate in self._recent]))
         if math.isfinite(lean_rate):
@@ -56,4 +56,4 @@ class ManualStrikes:
         )
 
     def withdraw(self, why: str) -> None:
-        """Nothing: who states a strike is believed."""
+        """No-op: manually specified strikes are never rejected."""

@@ -1,4 +1,4 @@
-"""A strike as the detector tells it, and what counts as one."""
+"""Strike, rejected change and the settings of the detector."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class StrikeSettings:
-    """When a change of the lean rate is a strike."""
+    """Thresholds of the strike detector."""
 
     least_change: float = 0.15  # [rad/s]
     rise: float = 0.3  # [s], longest push
     refractory: float = 1.0  # [s], between the starts of the free responses of two pushes
-    memory: float = 0.6  # [s], time constant with which earlier swings are forgotten
+    memory: float = 0.6  # [s], time constant with which earlier swings decay
     steepness: float = 0.8  # steepest slope over 0.1 s times 0.2 s, per change
 
 
 @dataclass(frozen=True)
 class Strike:
-    """One strike and why it is taken for one. Times are integer nanoseconds."""
+    """One strike and the reason for its detection. Times are integer nanoseconds."""
 
     time_ns: int  # first sample of the free response
     before_ns: int  # last sample before it
@@ -28,17 +28,17 @@ class Strike:
     change: float  # [rad/s], of the lean rate, by the strike
     noise: float  # [rad/s], standard deviation of the lean rate's noise as seen just before
     sharp: bool  # the strike fell between before_ns and time_ns
-    end_ns: int  # where the impulse ended: time_ns where nothing finer is known
-    end_std: float  # [s], 0: not known
+    end_ns: int  # end of the impulse; time_ns where it is not known more finely
+    end_std: float  # [s], 0: unknown
     kind: str  # strike, push, given
     rise: float  # [s], how long the change took
-    needed: float  # [rad/s], what the change had to exceed
-    why: str  # one plain sentence
+    needed: float  # [rad/s], threshold that the change exceeds
+    why: str  # one sentence
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A change that was looked at and not taken for a strike."""
+    """A change of the lean rate that was classified as no strike."""
 
     time_ns: int
     change: float  # [rad/s]
