@@ -89,7 +89,7 @@ def print_peaks(rate: int) -> None:
             fit = LiveFit(Settings(), preview_period=preview)
             for row, (topic, data) in enumerate(messages):
                 start = time.thread_time()
-                fit.take(topic, data)
+                fit.process(topic, data)
                 spent[row] = min(spent[row], time.thread_time() - start)
         median, high, higher, most = 1e3 * np.percentile(spent, [50, 99, 99.9, 100])
         print(
@@ -102,13 +102,13 @@ def print_memory(count: int) -> None:
     """Largest resident memory, and processor time for each sample, after each tenth of a stream."""
     fit, rng, start_ns = LiveFit(Settings()), np.random.default_rng(1), SECOND
     (info,) = conversion.run_info_records(INFO)
-    fit.take(topics.RUN_INFO, info.data)
+    fit.process(topics.RUN_INFO, info.data)
     done, shown, spent, since = 0, 0, 0.0, 0
     while done < count:
         messages = encoded(samples(PERIOD, 0.5, start_ns, rng))[1:]
         start = time.process_time()
         for topic, data in messages:
-            fit.take(topic, data)
+            fit.process(topic, data)
         spent += time.process_time() - start
         done, start_ns = done + PERIOD, start_ns + PERIOD * (SECOND // RATE)
         if done * 10 // count > shown:
@@ -164,7 +164,7 @@ def fed(imu: ImuSamples, settings: Settings) -> LiveRun:
 def taken(messages: list[tuple[str, bytes]], preview_period: float) -> int:
     """Number of answers."""
     fit = LiveFit(Settings(), preview_period=preview_period)
-    return sum(len(fit.take(topic, data)) for topic, data in messages)
+    return sum(len(fit.process(topic, data)) for topic, data in messages)
 
 
 def by_filterpy(imu: ImuSamples) -> float:

@@ -98,7 +98,7 @@ def answers(bag: Path) -> dict[str, list[bytes]]:
     """What the estimator says of a bag when it is given the messages in order, without ROS."""
     live, found = LiveFit(Settings()), defaultdict(list)
     with BagReader(bag) as reader:
-        said = [one for r in reader.records() for one in live.take(r.topic.removeprefix("/"), r.data)]
+        said = [one for r in reader.records() for one in live.process(r.topic.removeprefix("/"), r.data)]
     for one in said + live.finish():
         found[one.topic].append(one.data)
     return found

@@ -59,7 +59,7 @@ def stream(start_ns: int, periods: int) -> Iterator[tuple[str, bytes]]:
 
 
 def taken(fit: LiveFit, messages: Iterator[tuple[str, bytes]] | list[tuple[str, bytes]]) -> list[Record]:
-    return [answer for topic, data in messages for answer in fit.take(topic, data)]
+    return [answer for topic, data in messages for answer in fit.process(topic, data)]
 
 
 def finals(answers: list[Record]) -> list[bytes]:
@@ -96,18 +96,18 @@ def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
 
 def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     # Ten strikes to fill what is kept, then ten more: 6000 samples of hundreds of bytes each, were they kept.
-    monkeypatch.setattr(tms_fit.streaming.live_fit, "MOST_STRIKES", 3)
+    monkeypatch.setattr(tms_fit.streaming.live_fit, "KEPT_STRIKES", 3)
     quick = replace(Settings(), estimators=("som2011",))
     fit = LiveFit(quick, preview_period=0.0)
     messages = stream(SECOND, 20)
-    fit.take(*announced())
+    fit.process(*announced())
     half = 10 * round(PERIOD * RATE * 1.2)
     tracemalloc.start()
     try:
         sizes = []
         for _ in range(2):
             for topic, data in islice(messages, half):
-                fit.take(topic, data)
+                fit.process(topic, data)
             gc.collect()
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
@@ -118,7 +118,7 @@ def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -
 
 def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes() -> None:
     fit = LiveFit(Settings())
-    starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.streaming.live_fit.MOST_RUNS + 2)]
+    starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.streaming.live_fit.KEPT_RUNS + 2)]
     for start_ns in starts:
         taken(fit, [announced(), *stream(start_ns, 1)])
     fit.finish()
@@ -132,7 +132,7 @@ def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes(
 
 
 def test_what_waits_for_the_bicycle_is_bounded_and_the_loss_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tms_fit.streaming.live_fit, "MOST_HELD", 50)
+    monkeypatch.setattr(tms_fit.streaming.live_fit, "HELD_MESSAGES_LIMIT", 50)
     fit, sent = LiveFit(Settings()), list(islice(stream(SECOND, 1), 200))
     assert taken(fit, sent) == []
     assert fit.diagnostics["forgotten"] == 150
@@ -154,7 +154,7 @@ def test_a_speed_that_no_bicycle_has_stops_no_node() -> None:
 def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str) -> None:
     fit = LiveFit(Settings())
     (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name, parameters={"trail": 0.1}))
-    assert fit.take(topics.RUN_INFO, wrong.data) == []
+    assert fit.process(topics.RUN_INFO, wrong.data) == []
     assert fit.diagnostics["unknown_bicycle"] == 1
     assert fit.bicycle == ""
     messages = list(stream(SECOND, 1))

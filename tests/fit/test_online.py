@@ -16,7 +16,7 @@ from tms_fit.kalman.ekf import ExtendedKalmanFilter, FilterStep
 from tms_fit.messages import estimate_records
 from tms_fit.recording_fit import bicycle_of, fit_recording
 from tms_fit.settings import Settings
-from tms_fit.streaming.live_fit import INPUTS, REORDER_WINDOW, LiveFit
+from tms_fit.streaming.live_fit import INPUTS, REORDER_WINDOW_S, LiveFit
 from tms_fit.streaming.live_run import LiveRun
 from tms_fit.streaming.synchronizer import LONGEST_WAIT_NS
 from tms_fit.strike_fit import StrikeFit
@@ -216,7 +216,7 @@ def messages(run: SimulatedRun) -> list[tuple[str, bytes]]:
 
 def live(run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "") -> list[Record]:
     fit = LiveFit(Settings(), bicycle)
-    answers = [record for topic, data in order for record in fit.take(topic, data)]
+    answers = [record for topic, data in order for record in fit.process(topic, data)]
     return answers + fit.finish()
 
 
@@ -294,7 +294,7 @@ def test_an_announcement_begins_a_new_run(make_run: Any) -> None:
     second = make_run("delft_push", strike__time=1.5037, duration=4.0, start_time_ns=20 * SECOND)
     fit = LiveFit(Settings())
     answers = [
-        r for topic, data in messages(first) + messages(second) for r in fit.take(topic, data)
+        r for topic, data in messages(first) + messages(second) for r in fit.process(topic, data)
     ] + fit.finish()
     assert answers == live(first, messages(first)) + live(second, messages(second))
     assert fit.counts["strikes"] == 2
@@ -331,9 +331,9 @@ def test_unreadable_messages_are_counted_and_left_out(make_run: Any) -> None:
     fit = LiveFit(Settings())
     answers = []
     for index, (topic, data) in enumerate(messages(run)):
-        answers += fit.take(topic, data)
+        answers += fit.process(topic, data)
         if index % 100 == 50:
-            answers += fit.take(topics.IMU, data[:20])
+            answers += fit.process(topics.IMU, data[:20])
     answers += fit.finish()
     assert answers == live(run, messages(run))
     assert fit.counts["unreadable"] == len(range(50, len(messages(run)), 100))
@@ -365,11 +365,11 @@ def test_order_of_arrival_does_not_matter_within_the_reorder_window(recorded: An
     run, offline = recorded(strike__time=1.5037, duration=4.5)
     told, rest = messages(run)[:1], messages(run)[1:]
     stamps = [conversion_stamp(data) for _, data in rest]
-    delays = np.random.default_rng(3).uniform(0.0, 0.9 * REORDER_WINDOW * SECOND, len(rest))
+    delays = np.random.default_rng(3).uniform(0.0, 0.9 * REORDER_WINDOW_S * SECOND, len(rest))
     shaken = [rest[index] for index in np.argsort(np.array(stamps) + delays, kind="stable")]
     assert shaken != rest
     fit = LiveFit(Settings())
-    answers = [record for topic, data in told + shaken for record in fit.take(topic, data)] + fit.finish()
+    answers = [record for topic, data in told + shaken for record in fit.process(topic, data)] + fit.finish()
     expected = [record for strike in offline.strikes for record in estimate_records(strike)]
     assert [record.data for record in finals(answers)] == [record.data for record in expected]
     assert fit.diagnostics.get("late", 0) == 0
@@ -387,7 +387,7 @@ def test_late_and_repeated_samples_are_left_out_and_counted(make_run: Any) -> No
     shaken.insert(imu[141], twice)
     fit = LiveFit(Settings())
     for topic, data in shaken:
-        fit.take(topic, data)
+        fit.process(topic, data)
     assert (fit.diagnostics["late"], fit.diagnostics["repeated"]) == (1, 1)
 
 
@@ -411,7 +411,7 @@ def test_a_strike_can_be_fitted_once_more(recorded: Any) -> None:
     run, offline = recorded(strike__time=1.5037, duration=6.0)
     fit = LiveFit(Settings())
     for topic, data in messages(run):
-        fit.take(topic, data)
+        fit.process(topic, data)
     longer = Settings(window=3.0, free=("initial_lean_rate", "initial_steer_rate"))
     again = fit.refit(0, longer)
     (expected,) = fit_recording(offline.recording, offline.bicycle, longer).strikes

@@ -47,7 +47,7 @@ def messages(run: SimulatedRun) -> list[Record]:
 def live(records: list[Record], settings: Settings | None = None) -> tuple[list[bytes], LiveFit]:
     """All answers but previews, as bytes."""
     fit = LiveFit(settings or Settings(), preview_period=0.0)
-    answers = [one for record in records for one in fit.take(record.topic.removeprefix("/"), record.data)]
+    answers = [one for record in records for one in fit.process(record.topic.removeprefix("/"), record.data)]
     return [one.data for one in answers + fit.finish()], fit
 
 
@@ -94,7 +94,7 @@ def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
     late = [record for record in messages(limited) if record.topic == f"/{topics.LEAN_YAW}"]
     fit = LiveFit(Settings())
     for record in first + late:
-        fit.take(record.topic.removeprefix("/"), record.data)
+        fit.process(record.topic.removeprefix("/"), record.data)
     marked = np.count_nonzero(limited.lean_yaw.saturation)
     waiting = np.count_nonzero(limited.lean_yaw.saturation[-50:])  # may still be on time
     assert marked - waiting <= fit.diagnostics["late_flags"] <= marked

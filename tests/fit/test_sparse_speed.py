@@ -245,7 +245,7 @@ def test_live_is_offline_to_the_byte_with_the_cameras_speed(filmed: SimulatedRun
         answer
         for record in filmed.records()
         if (topic := record.topic.removeprefix("/")) in INPUTS
-        for answer in live.take(topic, record.data)
+        for answer in live.process(topic, record.data)
     ] + live.finish()
     expected = [record.data for one in offline for record in estimate_records(one)]
     assert [one.data for one in answers if one.topic == "/estimate"] == expected

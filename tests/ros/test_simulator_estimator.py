@@ -126,7 +126,7 @@ def expected_messages(bag: Path) -> dict[str, list[bytes]]:
             answer
             for record in reader.records()
             if record.topic.removeprefix("/") in INPUTS
-            for answer in live.take(record.topic.removeprefix("/"), record.data)
+            for answer in live.process(record.topic.removeprefix("/"), record.data)
         ] + live.finish()
     for answer in answers:
         expected.setdefault(answer.topic, []).append(answer.data)

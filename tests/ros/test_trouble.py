@@ -49,7 +49,7 @@ def inputs(run: Any) -> list[Any]:
 def offline(records: list[Any]) -> dict[str, list[bytes]]:
     """What a LiveFit publishes when it is given messages in order, without any ROS."""
     live = LiveFit(Settings())
-    answers = [a for r in records for a in live.take(r.topic.removeprefix("/"), r.data)] + live.finish()
+    answers = [a for r in records for a in live.process(r.topic.removeprefix("/"), r.data)] + live.finish()
     found: dict[str, list[bytes]] = {"/estimate": [], "/filter_state": []}
     for answer in answers:
         found[answer.topic].append(answer.data)

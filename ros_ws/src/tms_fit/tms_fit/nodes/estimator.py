@@ -74,7 +74,7 @@ class Estimator(Node):
 
     def _take(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()
-        self._publish(self._fit.take(topic, data))
+        self._publish(self._fit.process(topic, data))
         self._handled.add(topic)
 
     def _finish_when_idle(self) -> None:

@@ -9,7 +9,7 @@ from tms_bag.nodes.parameters import declare
 
 from tms_fit.nodes.fit_settings import declare_fit_settings
 from tms_fit.settings import Settings
-from tms_fit.streaming.live_fit import PREVIEW_PERIOD, REORDER_WINDOW
+from tms_fit.streaming.live_fit import PREVIEW_PERIOD_S, REORDER_WINDOW_S
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def declare_settings(node: Node) -> EstimatorParameters:
         reorder_window=declare(
             node,
             "reorder_window",
-            REORDER_WINDOW,
+            REORDER_WINDOW_S,
             "longest that an IMU sample may come after a later one; answers wait for it [s]",
             0.0,
             5.0,
@@ -44,7 +44,7 @@ def declare_settings(node: Node) -> EstimatorParameters:
         preview_period=declare(
             node,
             "preview_period",
-            PREVIEW_PERIOD,
+            PREVIEW_PERIOD_S,
             "time between estimates of a response that unfolds, 0: none [s]",
             0.0,
             60.0,

@@ -1,7 +1,7 @@
-"""A live fit over messages as they arrive: bytes in, messages out. The estimator node only carries them.
+"""Live fit of messages in the order of their arrival: serialised messages in, records out.
 
 Until the bicycle is known (from `run_info`, or given), messages wait. When time jumps back or a new run is
-announced, the fit begins anew.
+announced, a new run begins.
 """
 
 from __future__ import annotations
@@ -30,87 +30,91 @@ INPUTS = (
     topics.LEAN_YAW,
     topics.IMU,
 )
-JUMP_BACK = 1_000_000_000  # [ns]; an earlier stamp than this is a new run, not a late sample
-GAP = 500_000_000  # [ns] between IMU samples that is counted as one
-WAIT_FOR_RUN_INFO = 100  # IMU samples to wait for a run_info when the bicycle was given
-MOST_HELD = 100_000  # messages kept while the bicycle isn't known; the oldest go first
-MOST_STRIKES = 100  # that can be fitted once more
-MOST_RUNS = 10  # whose samples are kept, so that a window may become longer
-SAME_STRIKE = 100_000_000  # [ns] between the start that is asked for and the strike that is meant
-REORDER_WINDOW = 0.1  # [s]
-PREVIEW_PERIOD = 0.25  # [s]
+JUMP_BACK_NS = 1_000_000_000  # [ns]; an earlier stamp than this is a new run, not a late sample
+GAP_NS = 500_000_000  # [ns] between IMU samples that is counted as one
+RUN_INFO_WAIT_SAMPLES = 100  # IMU samples before a run with a given bicycle starts without run_info
+HELD_MESSAGES_LIMIT = 100_000  # messages kept while the bicycle is unknown; the oldest are discarded first
+KEPT_STRIKES = 100  # that can be refitted
+KEPT_RUNS = 10  # whose samples are kept, for longer windows
+SAME_STRIKE_NS = 100_000_000  # [ns], largest distance of a requested start from that of its strike
+REORDER_WINDOW_S = 0.1  # [s]
+PREVIEW_PERIOD_S = 0.25  # [s]
 
 
 class LiveFit:
-    """Takes messages, gives estimates and filter states. Raises ParameterError for an unknown bicycle."""
+    """Estimates and filter states of the messages of one or more runs."""
 
     def __init__(
         self,
         settings: Settings,
         bicycle: str = "",
-        reorder_window: float = REORDER_WINDOW,
-        preview_period: float = PREVIEW_PERIOD,
+        reorder_window: float = REORDER_WINDOW_S,
+        preview_period: float = PREVIEW_PERIOD_S,
     ) -> None:
-        """See `LiveRun` for reorder_window and preview_period [s]; without a bicycle run_info names it."""
+        """Raises ParameterError for an unknown bicycle or estimator.
+
+        bicycle: name or file; empty: the one that run_info states. reorder_window, preview_period [s]: see
+        `LiveRun`.
+        """
         self.settings = settings
         self._reorder_window, self._preview_period = reorder_window, preview_period
         check_names(settings.estimators)
         self._given = load_bicycle(bicycle) if bicycle else None
-        self._announced: Bicycle | None = None  # by run_info, which may have no file opened
+        self._announced: Bicycle | None = None  # by run_info, which is never opened as a file
         self.counts: Counter[str] = Counter()
         self._info: RunInfo | None = None
         self._run: LiveRun | None = None
-        self._held: deque[tuple[str, Record]] = deque(maxlen=MOST_HELD)
-        self._strikes: deque[tuple[LiveRun, StrikeFit]] = deque(maxlen=MOST_STRIKES)
-        self._runs: deque[LiveRun] = deque()  # that have ended, the latest ones
-        self._pending: list[Record] = []  # of a run that has ended, to be given with the next answers
+        self._held: deque[tuple[str, Record]] = deque(maxlen=HELD_MESSAGES_LIMIT)
+        self._strikes: deque[tuple[LiveRun, StrikeFit]] = deque(maxlen=KEPT_STRIKES)
+        self._runs: deque[LiveRun] = deque()  # the latest that have ended
+        self._pending: list[Record] = []  # of a run that has ended, for the next call
         self._newest_ns = 0
 
-    def take(self, topic: str, data: bytes) -> list[Record]:
-        """Use one message of a topic of INPUTS; return the messages to publish."""
+    def process(self, topic: str, data: bytes) -> list[Record]:
+        """Process one message of a topic of INPUTS; return the records to publish."""
         self.counts[topic] += 1
         record = Record(f"/{topic}", topics.TYPES[topic], 0, data)
         if topic == topics.RUN_INFO:
             return self._announce(conversion.run_info(record))
         if self._run is None:
-            self.counts["forgotten"] += len(self._held) == MOST_HELD
+            self.counts["forgotten"] += len(self._held) == HELD_MESSAGES_LIMIT
             self._held.append((topic, record))
-            waited = self._given and sum(kind == topics.IMU for kind, _ in self._held) > WAIT_FOR_RUN_INFO
+            waited = self._given and sum(kind == topics.IMU for kind, _ in self._held) > RUN_INFO_WAIT_SAMPLES
             return self._begin() if waited else []
         self._add(topic, record)
-        return self._answers()
+        return self._results()
 
     def finish(self) -> list[Record]:
-        """No more samples for now: fit what is open, and begin anew with the next sample."""
+        """Fit the open responses; the next sample begins a new run."""
         if self._run is None:
             return self._begin() + self.finish() if self._given and self._held else []
         self._run.finish()
-        answers = self._answers()
+        records = self._results()
         self._restart()
-        return answers
+        return records
 
     def refit(self, strike_ns: int, settings: Settings, bicycle: str = "") -> StrikeFit:
-        """Fit a strike once more: that whose free response starts at `strike_ns` (to 0.1 s), 0: the last.
+        """Fit, with other settings, of the strike that starts at `strike_ns` (to 0.1 s); 0: of the last one.
 
         Raises ParameterError for an unknown bicycle or estimator, and where there is no such strike.
         """
-        near = [one for one in self._strikes if abs(one[1].start_ns - strike_ns) <= SAME_STRIKE]
+        near = [one for one in self._strikes if abs(one[1].start_ns - strike_ns) <= SAME_STRIKE_NS]
         found = near or ([] if strike_ns else [*self._strikes])
         if not found:
             starts = ", ".join(f"{fit.start_ns / 1e9:.3f}" for _, fit in self._strikes) or "none"
             raise ParameterError(f"strike: expected one of {starts} [s], found {strike_ns / 1e9:.3f}")
-        online, fit = found[-1]
-        return online.refit(fit, load_bicycle(bicycle) if bicycle else online.bicycle, settings)
+        run, fit = found[-1]
+        return run.refit(fit, load_bicycle(bicycle) if bicycle else run.bicycle, settings)
 
     def _announce(self, info: RunInfo) -> list[Record]:
-        answers = self.finish() if self._run is not None and self._newest_ns else []
+        records = self.finish() if self._run is not None and self._newest_ns else []
         self._info, self._announced = info, None
         try:
             self._announced = stated_bicycle(info)
         except ParameterError:
             if info.bicycle and self._given is None:
                 self.counts["unknown_bicycle"] += 1
-        return answers + self._begin()
+        return records + self._begin()
 
     def _begin(self) -> list[Record]:
         self._restart()
@@ -118,17 +122,17 @@ class LiveFit:
             return []
         while self._held:
             self._add(*self._held.popleft())
-        return self._answers()
+        return self._results()
 
     @property
     def bicycle(self) -> str:
-        """Name of the bicycle; empty while it isn't known."""
+        """Name of the bicycle; empty while it is unknown."""
         bicycle = self._given or self._announced
         return bicycle.name if bicycle else ""
 
     @property
     def diagnostics(self) -> dict[str, int]:
-        """What came, and what was left out and why."""
+        """Numbers of messages processed, and left out, by reason."""
         return dict(self.counts + self._run.counts if self._run else self.counts)
 
     @property
@@ -148,7 +152,7 @@ class LiveFit:
             self.counts.update(self._run.counts)
             if self._newest_ns:
                 self._runs.append(self._run)
-            if len(self._runs) > MOST_RUNS:
+            if len(self._runs) > KEPT_RUNS:
                 self._runs.popleft().forget()
         bicycle = self._given or self._announced
         self._newest_ns = 0
@@ -182,27 +186,27 @@ class LiveFit:
 
     def _add_imu(self, record: Record) -> None:
         time_ns, angular_velocity, variance = conversion.imu_reading(record)
-        if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK:
+        if self._newest_ns and time_ns < self._newest_ns - JUMP_BACK_NS:
             self.counts["jumps_back"] += 1
             assert self._run is not None
             self._run.finish()
-            self._pending = self._answers()
+            self._pending = self._results()
             self._restart()
-        elif self._newest_ns and time_ns > self._newest_ns + GAP:
+        elif self._newest_ns and time_ns > self._newest_ns + GAP_NS:
             self.counts["gaps"] += 1
         self._newest_ns = max(self._newest_ns, time_ns)
         assert self._run is not None
         self._run.add_imu(time_ns, angular_velocity, variance)
 
-    def _answers(self) -> list[Record]:
+    def _results(self) -> list[Record]:
         assert self._run is not None
-        answers, self._pending = self._pending, []
+        records, self._pending = self._pending, []
         for result in self._run.results():
             if isinstance(result, StrikeFit):
                 if result.final:
                     self.counts["strikes"] += 1
                     self._strikes.append((self._run, result))
-                answers.extend(estimate_records(result))
+                records.extend(estimate_records(result))
             else:
-                answers.append(filter_state_record(result))
-        return answers
+                records.append(filter_state_record(result))
+        return records
