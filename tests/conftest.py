@@ -5,14 +5,16 @@ from __future__ import annotations
 import resource
 import runpy
 import sys
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-LEFT_OUT = pytest.StashKey[int]()  # number of long tests that were not selected
+LEFT_OUT = pytest.StashKey[dict[str, int]]()  # number of tests that were not selected, by marker
+CHOSEN_BY = {"long": "--thorough runs them as well", "slow_setup": "-m slow_setup runs them"}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -21,49 +23,61 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def place(item: pytest.Item) -> int:
-    """Place of a test in the order of all."""
-    return 0 if item.get_closest_marker("measures") else 2 if item.get_closest_marker("long") else 1
+    """Place of a test in the order of all.
 
-
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect long tests, unless `--thorough` or a marker expression (`-m`) decides about them.
-
-    A test marked `quick_for(name=values)` is long for every other value of its parameter `name`.
     Tests that measure come first: one worker runs them, one after the other, since idle workers steal from
     the end. Long ones come last.
     """
+    return 0 if item.get_closest_marker("measures") else 2 if item.get_closest_marker("long") else 1
+
+
+def omitted(item: pytest.Item) -> str | None:
+    """Marker for which a test is left out, unless an option or a marker expression (`-m`) asks for it."""
+    for marker in CHOSEN_BY:
+        asked_for = marker in item.config.option.markexpr or (
+            marker == "long" and item.config.option.thorough
+        )
+        if item.get_closest_marker(marker) and not asked_for:
+            return marker
+    return None
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> Generator[None, object, object]:
+    """Mark cases of `quick_for(PARAMETER=VALUES)` with other values as long; deselect what is not asked for."""
     for item in items:
         for marker in item.iter_markers("quick_for"):
             cases = item.callspec.params  # type: ignore[attr-defined]
             if any(cases[name] not in values for name, values in marker.kwargs.items()):
                 item.add_marker("long")
     items.sort(key=place)
-    if config.option.thorough or "long" in config.option.markexpr:
-        return
-    left_out = [item for item in items if item.get_closest_marker("long")]
-    config.stash[LEFT_OUT] = len(left_out)
+    result = yield  # -k and -m
+    left_out = [item for item in items if omitted(item)]
     if left_out:
+        config.stash[LEFT_OUT] = dict(Counter(str(omitted(item)) for item in left_out))
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("long")]
+        items[:] = [item for item in items if not omitted(item)]
+    return result
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Hand the number of tests left out from a worker to the process that reports."""
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, 0)
+        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, {})
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
     """Take the number of tests left out from a worker; each collects all tests."""
-    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", 0)
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", {})
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Print how many long tests were left out."""
-    if left_out := config.stash.get(LEFT_OUT, 0):
-        terminalreporter.write_line(f"long tests left out: {left_out} (--thorough runs them as well)")
+    """Print how many tests were left out, and how they are run."""
+    for marker, number in config.stash.get(LEFT_OUT, {}).items():
+        terminalreporter.write_line(f"left out: {number} tests marked {marker} ({CHOSEN_BY[marker]})")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Setting up from nothing: minutes each, with downloads, so they run only when asked for:
 
-TMS_SLOW_SETUP=1 ./tms test tests/setup -m slow_setup
+./tms test tests/setup -m slow_setup
 """
 
 import os
@@ -11,12 +11,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [
-    pytest.mark.slow_setup,
-    pytest.mark.skipif(
-        not os.environ.get("TMS_SLOW_SETUP"), reason="takes minutes; set TMS_SLOW_SETUP=1 to run it"
-    ),
-]
+pytestmark = pytest.mark.slow_setup
 
 WORKS = "import rclpy, numpy, tms_msgs.msg, tms_bag; print(tms_msgs.msg.LeanYaw().lean)"
 
