@@ -46,7 +46,7 @@ def omitted(item: pytest.Item) -> str | None:
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> Generator[None, object, object]:
-    """Mark cases of `quick_for(PARAMETER=VALUES)` with other values as long; deselect what isn't asked for."""
+    """Mark cases of `quick_for(PARAMETER=VALUES)` with other values as long; deselect what is not asked."""
     for item in items:
         for marker in item.iter_markers("quick_for"):
             cases = item.callspec.params  # type: ignore[attr-defined]
