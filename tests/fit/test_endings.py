@@ -59,6 +59,7 @@ def test_without_a_speed_rates_that_stop_tell_of_hands() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 4, 7, 10])
+@pytest.mark.quick_for(seed=[0, 10])
 def test_a_bicycle_that_leans_on_evenly_after_a_strike_is_not_held(seed: int) -> None:
     # A gyroscope tells no such rate of what stands still.
     time, noise = TIME[:134], 0.02 * np.random.default_rng(seed).standard_normal((134, 2))

@@ -19,6 +19,7 @@ LOSS = {"rolling_resistance": 0.05, "speed": 5.0}
 
 @pytest.mark.parametrize("name", bicycle_names())
 @pytest.mark.parametrize("step", [0.04, 0.01, 0.001])
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering"])
 def test_the_curve_over_the_speed_is_every_transition(name: str, step: float) -> None:
     bicycle = load_bicycle(name)
     speeds = 5.0 - 0.5 * step * np.arange(round(1.5 / step) + 41)

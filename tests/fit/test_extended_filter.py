@@ -34,6 +34,7 @@ CERTAIN = InitialState(
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering"])
 def test_at_constant_speed_the_transition_is_the_exponential(name: str) -> None:
     bicycle = load_bicycle(name)
     system = linear_system(bicycle, 4.0)
@@ -46,6 +47,7 @@ def test_at_constant_speed_the_transition_is_the_exponential(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering"])
 def test_the_transition_while_the_speed_falls(name: str) -> None:
     bicycle = load_bicycle(name)
     coasting = Coasting(bicycle)

@@ -101,6 +101,7 @@ def found_in(online: LiveRun) -> list[StrikeFit]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("impulse", [0.004, -0.003])  # [N m s] about the steer axis: 1.4 and 1 rad/s
+@pytest.mark.quick_for(seed=[1])
 def test_a_kick_of_the_steering_is_no_strike(impulse: float, seed: int) -> None:
     # Forces of the floor have no lever about the line on which the bicycle leans: M q' = (0, impulse). A lean
     # rate of 0.3 to 0.6 rad/s follows within 0.2 s all the same.
@@ -113,6 +114,7 @@ def test_a_kick_of_the_steering_is_no_strike(impulse: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.quick_for(seed=[1])
 def test_a_strike_that_turns_the_steering_too_is_one(seed: int) -> None:
     # Weak on the lean, 0.2 rad/s, while the steering it turns brings most of what is seen.
     time = np.arange(0.0, 3.5, 0.01)

@@ -50,6 +50,7 @@ def assert_holds(estimate: dict[str, Any], name: str, truth: float, factor: floa
 # One interval in twenty misses: each case holds for its seed, whose run is the same everywhere.
 @pytest.mark.parametrize("scenario", NOISY)
 @pytest.mark.parametrize(("time", "seed"), zip(TIMES, [1, 2, 3], strict=True))
+@pytest.mark.quick_for(seed=[1])
 def test_truth_comes_back(fit_bag: Any, scenario: str, time: str, seed: int) -> None:
     truth = load_scenario(scenario).number("strike.lean_rate")
     # The two estimators are one under white noise, which the simulated sensor's is.
@@ -82,6 +83,7 @@ def test_strikes_to_either_side(fit_bag: Any, lean_rate: float) -> None:
 
 
 @pytest.mark.parametrize("rate", [50, 100, 200, 400])
+@pytest.mark.quick_for(rate=[50, 400])
 def test_other_rates(fit_bag: Any, rate: int) -> None:
     (strike,) = fit_bag("tms_strike", f"imu.rate={rate}", "strike.time=2.0037", seed=5)
     least_squares = strike["estimates"][0]

@@ -106,6 +106,7 @@ def test_state_follows_the_truth_through_a_strike(make_run: Any) -> None:
 
 
 @pytest.mark.parametrize("name", bicycle_names())
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering"])
 def test_it_runs_for_every_bicycle(name: str) -> None:
     ranges = stability(load_bicycle(name)).stable_speed_ranges
     speed = 0.5 * (ranges[0][0] + min(ranges[0][1], ranges[0][0] + 2.0)) if ranges else 4.0
@@ -187,6 +188,7 @@ def test_yaw_rate_of_a_leaned_bicycle_is_levelled() -> None:
 
 @pytest.mark.parametrize("name", bicycle_names())
 @pytest.mark.parametrize("step", [1e-4, 1e-3, 0.01, 0.1])
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering"])
 def test_a_step_is_exact_by_another_way(name: str, step: float) -> None:
     bicycle, density = load_bicycle(name), np.diag([0.0, 0.0, *np.square(GIVEN_SPEED_NOISE.acceleration)])
     transitions = TransitionCache(bicycle, density)

@@ -42,6 +42,7 @@ def struck(time: np.ndarray, end: float, duration: float, change: float) -> np.n
 @pytest.mark.parametrize(
     ("duration", "change"), [(0.0, 0.25), (0.0, -0.8), (0.02, 0.5), (0.02, -0.8), (0.05, 0.8)]
 )
+@pytest.mark.quick_for(rate=[25.0, 100.0, 400.0], change=[0.25, -0.8, 0.8])
 def test_end_of_an_impulse_at_any_sample_rate(rate: float, duration: float, change: float) -> None:
     # Within 10 ms, or half a sample where samples are further apart than that.
     rng = np.random.default_rng(round(rate))
@@ -57,6 +58,7 @@ def test_end_of_an_impulse_at_any_sample_rate(rate: float, duration: float, chan
 
 @pytest.mark.parametrize("rate", [100.0, 400.0, 1000.0])
 @pytest.mark.parametrize("change", [0.2, -0.3])
+@pytest.mark.quick_for(rate=[100.0])
 def test_weak_impulses_of_20_ms_are_dated_by_their_end_not_by_a_peak(rate: float, change: float) -> None:
     rng = np.random.default_rng(round(rate))
     errors = []
@@ -126,6 +128,7 @@ def test_shimmy_is_recognised_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("rate", [25.0, 100.0])
 @pytest.mark.parametrize("shimmy", [0.0, 0.1])
+@pytest.mark.quick_for(rate=[25.0], shimmy=[0.1])
 def test_ten_minutes_at_constant_speed_hold_no_strike(rate: float, shimmy: float) -> None:
     # A joint kicks by 0.05 rad/s every two seconds, the shimmy's frequency wanders about 20 Hz.
     rng = np.random.default_rng(7)
@@ -142,6 +145,7 @@ def test_ten_minutes_at_constant_speed_hold_no_strike(rate: float, shimmy: float
 @pytest.mark.parametrize("rate", [25.0, 100.0, 1000.0])
 @pytest.mark.parametrize("second", [-0.7, 0.5, -0.35])
 @pytest.mark.parametrize("gap", [0.35, 0.5, 0.7, 1.0])
+@pytest.mark.quick_for(rate=[100.0], second=[-0.7, 0.5])
 def test_two_strikes_less_than_a_second_apart(rate: float, second: float, gap: float) -> None:
     time = np.arange(round(5.0 * rate)) / rate
     noise = DENSITY * np.sqrt(rate) * np.random.default_rng(3).standard_normal(len(time))
@@ -170,6 +174,7 @@ def test_one_outlier_is_no_strike() -> None:
 
 @pytest.mark.parametrize("speed", [4.0, 4.289, 4.6])
 @pytest.mark.parametrize("kick", [-0.6, -1.2])
+@pytest.mark.quick_for(speed=[4.289])
 def test_free_response_to_a_steer_kick_is_no_push(
     make_run: Any, fit_run: Any, speed: float, kick: float
 ) -> None:

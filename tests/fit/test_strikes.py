@@ -54,6 +54,7 @@ def after(time_ns: int) -> float:
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
 @pytest.mark.parametrize("noise", [0.0, 0.002, 0.02, 0.1])
+@pytest.mark.quick_for(rate=[100.0])
 def test_noise_is_no_strike(rate: float, noise: float) -> None:
     time = np.arange(round(15.0 * rate)) / rate
     assert detected(time, noise * np.random.default_rng(3).standard_normal(len(time))) == []
@@ -71,6 +72,7 @@ STABLE = [
     ("name", "speed"), STABLE, ids=lambda value: value if isinstance(value, str) else f"{value:.2f}"
 )
 @pytest.mark.parametrize("phase", [0.4, 2.0])
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1"])
 def test_free_weave_is_no_strike(name: str, speed: float, phase: float) -> None:
     # A recording that begins somewhere in a weave oscillation of 0.6 rad/s, and shows nothing else.
     system = linear_system(load_bicycle(name), speed)
@@ -87,6 +89,7 @@ def test_free_weave_is_no_strike(name: str, speed: float, phase: float) -> None:
     ("name", "speed"), STABLE, ids=lambda value: value if isinstance(value, str) else f"{value:.2f}"
 )
 @pytest.mark.parametrize("change", [0.3, -1.0])
+@pytest.mark.quick_for(name=["benchmark", "tms_table_8_1", "tms_eq_10_1"])
 def test_one_strike_is_one_strike(
     make_run: Any, fit_run: Any, name: str, speed: float, change: float
 ) -> None:
@@ -128,6 +131,7 @@ def pushed(
 )
 @pytest.mark.parametrize("peak", [0.5, -1.2])
 @pytest.mark.parametrize("duration", [0.1, 0.2])
+@pytest.mark.quick_for(peak=[0.5])
 def test_push_by_hand_starts_the_free_response_at_its_peak_or_its_end(
     bicycle: str, speed: float, gain: float, peak: float, duration: float
 ) -> None:
@@ -197,6 +201,7 @@ def test_nothing_measured_is_no_strike() -> None:
 
 
 @pytest.mark.parametrize("time", [0.35, 1.0, 2.0, 7.0])
+@pytest.mark.quick_for(time=[0.35, 7.0])
 def test_strike_anywhere_in_the_record(make_run: Any, fit_run: Any, time: float) -> None:
     # From the first third of a second on, up to a second before the end.
     (found,) = fit_run(make_run("tms_strike", strike__time=time), estimators=("least_squares",))

@@ -54,6 +54,7 @@ def test_same_seed_same_bytes_in_any_process() -> None:
 
 
 @pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.quick_for(name=["tms_strike", "gym_run", "delft_push"])
 def test_bag_holds_what_simulate_says(command: Any, tmp_path: Path, name: str) -> None:
     bag = tmp_path / "bag"
     scenario = load_scenario(name)

@@ -28,6 +28,7 @@ def rates(records: list[Record]) -> dict[int, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.quick_for(name=["tms_strike", "gym_run", "gym_strikes"])
 def test_all_is_sent_once_and_in_order(name: str) -> None:
     last = load_scenario(name).numbers("strike.time")[-1]
     live = LiveRun(load_scenario(name, {"duration": last + 1.0, "imu.rate": 50.0}))
@@ -39,6 +40,7 @@ def test_all_is_sent_once_and_in_order(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.quick_for(name=["tms_strike", "gym_run", "gym_strikes"])
 def test_a_strike_on_the_way_agrees_with_what_was_sent(name: str) -> None:
     scenario = load_scenario(name)
     live = LiveRun(scenario)

@@ -323,6 +323,7 @@ def amplitude_near(times: np.ndarray, values: np.ndarray, low: float, high: floa
 
 
 @pytest.mark.parametrize("floor", ["hard_wood", "linoleum", "thick_rubber", "thin_rubber"])
+@pytest.mark.quick_for(floor=["hard_wood"])
 def test_shimmy_of_20_hz_on_every_floor_above_walking_speed(go: Any, floor: str) -> None:
     run = go("gym_run", floor=floor, effects__joints=False, effects__slip=False)
     times = np.arange(3.0, 4.0, 0.001)

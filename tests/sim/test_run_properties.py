@@ -105,6 +105,7 @@ def test_samples_of_any_run_are_finite_and_truth_agrees_with_itself(change: dict
 
 
 @pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.quick_for(name=["tms_strike", "gym_run", "delft_push"])
 def test_same_seed_same_ride(name: str) -> None:
     scenario = load_scenario(name)
     one, other = (ride(scenario, np.random.default_rng(5)) for _ in range(2))

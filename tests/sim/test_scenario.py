@@ -37,6 +37,7 @@ def test_every_scenario_holds_every_key_and_says_what_it_is(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.quick_for(name=["tms_strike", "gym_run", "delft_push"])
 def test_configuration_makes_the_same_run_again(name: str) -> None:
     changed = load_scenario(name, {"strike.lean_rate": 0.123, "seed": 99})
     configuration = flat(yaml.safe_load(changed.to_yaml()))

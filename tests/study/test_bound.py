@@ -84,6 +84,7 @@ def test_command(command: Any, refused: Any) -> None:
 
 @pytest.mark.parametrize("rate", [25.0, 40.0, 100.0])
 @pytest.mark.parametrize("duration", [4.2, 6.0])
+@pytest.mark.quick_for(rate=[25.0, 100.0])
 def test_samples_are_those_that_a_fit_uses(rate: float, duration: float, tmp_path: Path) -> None:
     # Both ends count, where the window ends the response and where the recording does: at 25 Hz one of 38.
     scenario = load_scenario("tms_strike", {"imu.rate": rate, "duration": duration, "strike.time": [3.0]})
