@@ -60,6 +60,7 @@ def test_a_strike_on_the_way_agrees_with_what_was_sent(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.quick_for(name=["loss", "out_of_order", "bias_jump"])
 def test_a_fault_on_the_way_leaves_what_was_sent_as_it_was(name: str) -> None:
     # The sensor's clock is 50 ms ahead of the host's: stamps of what was sent lie ahead of now.
     live = LiveRun(load_scenario("gym_as_measured", {"faults": "noise:std=0.01", "duration": 6.0}))
