@@ -152,6 +152,29 @@ def test_with_wheels_nothing_of_another_ros_gets_in(project, bash):
     assert variables["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
 
 
+# --- How the tests are run ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "cores", "workers"),
+    [
+        ("", 4, True),
+        ("--thorough -k lean", 4, True),
+        ("", 1, False),
+        ('"$1"', 4, False),  # a path
+        ('-x "$1::test_one"', 4, False),
+        ("-n 3", 4, False),
+        ("--pdb", 4, False),
+    ],
+)
+def test_the_whole_suite_gets_a_worker_for_each_core(project, bash, arguments, cores, workers):
+    fakes = f'PYTHON=true; nproc() {{ echo {cores}; }}; run_python() {{ echo "$*"; }}'
+    done = bash(project, f"{fakes}; run_tests {arguments}")
+    given = arguments.replace('"', "").replace("$1", f"{project}/tms")
+    started = f" -n {cores} --dist worksteal" if workers else ""
+    assert done.stdout.split() == f"-m pytest{started} {given}".split(), done.stderr
+
+
 # --- Where things lie --------------------------------------------------------------------------------------
 
 
