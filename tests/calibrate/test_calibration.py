@@ -78,20 +78,20 @@ def delft() -> Bicycle:
     return load_bicycle("delft_sbw")
 
 
-@pytest.fixture(scope="module")
-def calibrations(delft: Bicycle) -> list[Calibration]:
-    """Of 20 campaigns of 8 pushes each, with noise that is alike over 50 ms."""
+@pytest.fixture(scope="module", params=[5, pytest.param(20, marks=pytest.mark.long)])
+def calibrations(request: pytest.FixtureRequest, delft: Bicycle) -> list[Calibration]:
+    """Of some campaigns of 8 pushes each, with noise that is alike over 50 ms."""
     generator = np.random.default_rng(11)
     return [
         calibrate(delft, pushes(delft, TRUTH, generator, 4, 0.04, 0.05), tuple(TRUTH), PRIORS)
-        for _ in range(20)
+        for _ in range(request.param)
     ]
 
 
 def test_changed_numbers_are_recovered_within_their_intervals(calibrations: list[Calibration]) -> None:
     truth = np.array(list(TRUTH.values()))
     off = np.array([(one.values - truth) / one.std for one in calibrations])
-    # 60 normal numbers, those of one campaign correlated: their mean square within 0.5 to 1.7.
+    # 60 normal numbers of 20 campaigns, those of one correlated: their mean square within 0.5 to 1.7.
     assert 0.5 < np.mean(off**2) < 1.7
     assert np.mean(np.abs(off) < 1.96) > 0.87
     assert np.abs(off).max() < 4.5
