@@ -6,7 +6,7 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
-    package_data={NAME: ["py.typed", "logs/mappings/*.yaml", "nodes/*.xml"]},
+    package_data={NAME: ["py.typed", "definitions/*/msg/*.msg", "logs/mappings/*.yaml", "nodes/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

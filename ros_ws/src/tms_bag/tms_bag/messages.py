@@ -2,19 +2,20 @@
 
 Bytes come from rosbags' serialisation, which fills padding with zeros, so that the same message is always the
 same bytes; rclpy's leaves padding uninitialised. Standard types are those of Jazzy; all other types are read
-from the .msg files of the packages on AMENT_PREFIX_PATH, as rosbag2 does.
+from the .msg files of the packages on AMENT_PREFIX_PATH, as rosbag2 does. For a computer without ROS the
+definitions of this project's topics are shipped, in the folder `definitions/`.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
@@ -22,6 +23,7 @@ from rosbags.typesys.store import Typestore
 
 from tms_bag.errors import RecordingError
 
+SHIPPED = Path(__file__).parent / "definitions"  # PACKAGE/msg/NAME.msg
 LONGEST_SEQUENCE = 2**24  # elements; a damaged message must not ask for more memory than a bag can hold
 
 _TYPE_NAME = re.compile(r"([a-zA-Z]\w*)/(?:msg/)?([a-zA-Z]\w*)")
@@ -146,8 +148,8 @@ def _full_name(name: str) -> str:
 
 @cache
 def _definition(type_name: str) -> str | None:
-    """Text of the installed .msg file; None where there is none."""
-    path = _installed(type_name, "msg")
+    """Text of the .msg file, installed or shipped; None where there is none."""
+    path = _installed(type_name, "msg") or _file_in(SHIPPED, type_name, "msg")
     return path.read_text(encoding="utf-8") if path else None
 
 
@@ -160,13 +162,17 @@ def _installed_hash(type_name: str) -> str | None:
 
 
 def _installed(type_name: str, extension: str) -> Path | None:
-    """File of a message type in its package's share folder, if it is installed."""
+    """File of a message type in the first prefix of AMENT_PREFIX_PATH that its package is in."""
+    package = type_name.split("/")[0]
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        share = Path(prefix) / "share"
+        if (share / "ament_index" / "resource_index" / "packages" / package).is_file():
+            return _file_in(share, type_name, extension)
+    return None
+
+
+def _file_in(folder: Path, type_name: str, extension: str) -> Path | None:
+    """The file of a message type in a folder of packages, if it is there."""
     match = _TYPE_NAME.fullmatch(type_name)
-    if match is None:
-        return None
-    try:
-        share = get_package_share_directory(match[1])
-    except (OSError, PackageNotFoundError, LookupError):
-        return None
-    path = Path(share) / "msg" / f"{match[2]}.{extension}"
-    return path if path.is_file() else None
+    path = folder / match[1] / "msg" / f"{match[2]}.{extension}" if match else None
+    return path if path and path.is_file() else None
