@@ -8,15 +8,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tms_bag.arrays import recording_from_arrays
     from tms_bag.errors import RecordingError
-    from tms_bag.reading.reader import BagReader
+    from tms_bag.reading.reader import BagReader, open_bag
     from tms_bag.record import Record
     from tms_bag.recording import Recording, read_recording
     from tms_bag.writing.writer import BagWriter
 
 __version__ = "0.1.0"
 
-__all__ = ["BagReader", "BagWriter", "Record", "Recording", "RecordingError", "read_recording"]
+__all__ = [
+    "BagReader",
+    "BagWriter",
+    "Record",
+    "Recording",
+    "RecordingError",
+    "open_bag",
+    "read_recording",
+    "recording_from_arrays",
+]
 
 # Loaded when they are asked for: the executables of the nodes must be up before half a second of imports.
 _MODULES = {
@@ -25,7 +35,9 @@ _MODULES = {
     "Record": "record",
     "Recording": "recording",
     "RecordingError": "errors",
+    "open_bag": "reading.reader",
     "read_recording": "recording",
+    "recording_from_arrays": "arrays",
 }
 
 

@@ -10,7 +10,7 @@ from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Status
 from tms_fit.gyroscopes import orientation_of
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.response.prediction import predict_by
@@ -51,7 +51,7 @@ class Comparison:
 
 def first_good(strike: StrikeFit) -> Estimate | None:
     """The first estimate of a strike whose status is ok; None if there is none, or nothing to compare."""
-    good = [one for one in strike.estimates if one.status == "ok"]
+    good = [one for one in strike.estimates if one.status == Status.OK]
     return good[0] if good and strike.window is not None else None
 
 

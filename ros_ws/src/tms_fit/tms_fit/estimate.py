@@ -1,25 +1,78 @@
-"""What an estimator answers."""
+"""Estimates of the parameters of one free response, with their uncertainty."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
+from typing import SupportsIndex, overload
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 from tms_model.bicycle import Array
 
-from tms_fit.parameters import shaping
+from tms_fit.parameters import UNITS, shaping
 from tms_fit.settings import Settings
 
 
-@dataclass(frozen=True, eq=False)
+class Status(str, Enum):
+    """Whether an estimator found the parameters; equal to its word in messages and JSON."""
+
+    OK = "ok"
+    NOT_CONVERGED = "not_converged"
+    NOT_OBSERVABLE = "not_observable"
+    TOO_SHORT = "too_short"
+
+    @property
+    def text(self) -> str:
+        """What the status means, in one phrase."""
+        return _STATUS_TEXTS[self]
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+    def __format__(self, form: str) -> str:
+        return format(str(self.value), form)
+
+
+_STATUS_TEXTS = {
+    Status.OK: "the parameters were found",
+    Status.NOT_CONVERGED: "no minimum was found; free fewer parameters or give priors",
+    Status.NOT_OBSERVABLE: "the measurements don't determine the parameters that are free",
+    Status.TOO_SHORT: "the free response holds too few samples",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated parameter.
+
+    >>> print(Parameter(0.5512, 0.0213, (0.5091, 0.5933), "rad/s"))
+    0.5512 ± 0.021 rad/s (95 % 0.5091 to 0.5933)
+    """
+
+    value: float
+    std: float  # standard error
+    ci95: tuple[float, float]  # 95 % interval; infinite where it is open
+    unit: str  # SI; 1: none
+
+    def __str__(self) -> str:
+        low, high = self.ci95
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.value:.4g} ± {self.std:.2g}{unit} (95 % {low:.4g} to {high:.4g})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimate:
-    """Parameters of one free response with their uncertainty, or the reason why there are none."""
+    """Parameters of one free response with their uncertainty, or the reason why there are none.
+
+    `estimate["initial_lean_rate"]` is a Parameter; `name in estimate` and iteration are by the names of the
+    parameters that were estimated.
+    """
 
     estimator: str
-    status: str  # ok, not_converged, not_observable, too_short
+    status: Status
     message: str
     names: tuple[str, ...] = ()
     values: Array = field(default_factory=lambda: np.empty(0))  # (p,) SI
@@ -44,6 +97,30 @@ class Estimate:
     unknown_count: int = 0  # of the likelihood: parameters and noise parameters
     settings: Settings | None = None  # as asked for
     intervals: Array | None = None  # (p, 2) 95 % intervals by another way than the covariance
+
+    def __getitem__(self, name: str) -> Parameter:
+        """A parameter by name. Raises KeyError where it was not estimated."""
+        if name not in self.names:
+            raise KeyError(f"{name}: not estimated; expected of {', '.join(self.names) or 'none'}")
+        index = self.names.index(name)
+        low, high = self.ci95[index].tolist()
+        value, std = float(self.values[index]), float(self.std[index])
+        return Parameter(value, std, (low, high), UNITS.get(name, ""))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name}={self[name].value:.4g}" for name in self.names)
+        return f"<Estimate {self.estimator} {self.status}{f': {found}' if found else ''}>"
+
+    def __str__(self) -> str:
+        width = max((len(name) for name in self.names), default=0)
+        lines = [f"{self.estimator}: {self.message if self.status != Status.OK else self.status}"]
+        return "\n".join([*lines, *(f"  {name:{width}}  {self[name]}" for name in self.names)])
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -74,7 +151,7 @@ class Estimate:
     @property
     def quantile(self) -> float:
         """Half of a 95 % interval per standard error: Student's t."""
-        return float(student_t.ppf(0.975, max(self.degrees_of_freedom, 1)))
+        return float(stdtrit(max(self.degrees_of_freedom, 1), 0.975))
 
     @property
     def ci95(self) -> Array:
@@ -93,3 +170,23 @@ class Estimate:
     def bic(self) -> float:
         """Schwarz's criterion; smaller is better, among fits of the same samples."""
         return self.unknown_count * math.log(max(self.sample_count, 1)) - 2.0 * self.log_likelihood
+
+
+class Estimates(tuple[Estimate, ...]):
+    """Estimates of one strike in the order asked for; `estimates["kalman_rts"]` is that of an estimator."""
+
+    @overload
+    def __getitem__(self, key: str | SupportsIndex) -> Estimate: ...
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Estimate, ...]: ...
+    def __getitem__(self, key: str | SupportsIndex | slice) -> Estimate | tuple[Estimate, ...]:
+        """The estimate of an estimator, or by place. Raises KeyError for an estimator that was not asked."""
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        for one in self:
+            if one.estimator == key:
+                return one
+        raise KeyError(f"{key}: expected of {', '.join(one.estimator for one in self) or 'none'}")
+
+    def __repr__(self) -> str:
+        return f"Estimates({', '.join(map(repr, self))})"

@@ -60,11 +60,10 @@ def _title(fit: RecordingFit, both: Comparison, number: int) -> str:
     name, estimate = "initial_lean_rate", both.estimate
     text = f"{source_of(fit)} run {fit.recording.path.name}, strike {number}: {fit.bicycle.name}"
     text += f" at {both.start_speed:.2f} m/s"
-    if name in estimate.names:
-        index = estimate.names.index(name)
-        std = float(estimate.std[index])
-        places = decimals(std)
-        value, half = fixed(float(estimate.values[index]), places), fixed(estimate.quantile * std, places)
+    if name in estimate:
+        found = estimate[name]
+        places = decimals(found.std)
+        value, half = fixed(found.value, places), fixed(estimate.quantile * found.std, places)
         text += f"\ninitial lean rate {value} ± {half} rad/s"
         text += f" (95 %, {estimate.estimator.replace('_', ' ')})"
     return text

@@ -8,7 +8,7 @@ from typing import Any
 
 from tms_fit.diagnostics.output import diagnostics_json, diagnostics_lines, residual_tests_json
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Status
 from tms_fit.least_squares.make_estimate import COLOURED
 from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
@@ -77,13 +77,11 @@ def _detection(strike: Strike) -> dict[str, Any]:
 def _estimate(estimate: Estimate) -> dict[str, Any]:
     return {
         "estimator": estimate.estimator,
-        "status": estimate.status,
+        "status": estimate.status.value,
         "message": estimate.message,
         "parameters": {
-            name: {"value": float(value), "std": float(std), "ci95": [_end(low), _end(high)]}
-            for name, value, std, (low, high) in zip(
-                estimate.names, estimate.values, estimate.std, estimate.ci95, strict=True
-            )
+            name: {"value": one.value, "std": one.std, "ci95": [_end(one.ci95[0]), _end(one.ci95[1])]}
+            for name, one in ((name, estimate[name]) for name in estimate)
         },
         "known": dict(estimate.known),
         "vaf": estimate.vaf,
@@ -167,18 +165,16 @@ def _reasons(fit: RecordingFit) -> list[str]:
 
 def _others(estimate: Estimate) -> str:
     """What was found beside the initial lean rate, with standard errors."""
-    found = zip(estimate.names, estimate.values, estimate.std, strict=True)
-    return ", ".join(
-        f"{name} {value:.4g} +- {std:.2g}" for name, value, std in found if name != "initial_lean_rate"
-    )
+    found = {name: estimate[name] for name in estimate if name != "initial_lean_rate"}
+    return ", ".join(f"{name} {one.value:.4g} +- {one.std:.2g}" for name, one in found.items())
 
 
 def _in_words(estimate: Estimate) -> str:
-    if estimate.status != "ok":
+    if estimate.status != Status.OK:
         return f"{estimate.status}: {estimate.message}"
     vaf = ", ".join(f"{value:.3f}" for value in estimate.vaf.values())
-    if "initial_lean_rate" not in estimate.names:
+    if "initial_lean_rate" not in estimate:
         return f"{', '.join(f'{name} {value:.5f}' for name, value in estimate.parameters.items())}   {vaf}"
-    index = estimate.names.index("initial_lean_rate")
-    low, high = estimate.ci95[index]
-    return f"{estimate.values[index]:+9.5f}  95 % [{low:+9.5f}, {high:+9.5f}]   {vaf}"
+    found = estimate["initial_lean_rate"]
+    low, high = found.ci95
+    return f"{found.value:+9.5f}  95 % [{low:+9.5f}, {high:+9.5f}]   {vaf}"

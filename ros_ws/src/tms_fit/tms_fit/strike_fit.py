@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from tms_model import Bicycle, ParameterError
 
 from tms_fit.diagnostics.misspecification import Misspecification, find_misspecification
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Estimates, Parameter, Status
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
 from tms_fit.least_squares.intervals import with_intervals
@@ -18,18 +19,44 @@ from tms_fit.strikes.window_end import WindowEnd
 from tms_fit.window import Window
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StrikeFit:
-    """One strike and its estimates."""
+    """One strike and its estimates.
+
+    `fit["initial_lean_rate"]` is a parameter of the first estimate, `fit.estimates["kalman_rts"]` another
+    estimator's estimate.
+    """
 
     strike: Strike
     segment: Segment
     window: Window | None  # None: nothing to compare with the model, the estimates' messages say why
-    estimates: tuple[Estimate, ...]
+    estimates: Estimates  # in the order asked for
     bicycle: str
     final: bool = True  # False: a preview, the response is still unfolding
     window_end: WindowEnd | None = None  # what ended the response before the window did; None: nothing
     misspecification: Misspecification | None = None  # of the first estimate, if final
+
+    def __getitem__(self, name: str) -> Parameter:
+        """A parameter of the first estimate. Raises KeyError where it was not estimated."""
+        return self.estimates[0][name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.estimates[0]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.estimates[0])
+
+    def __repr__(self) -> str:
+        return f"<StrikeFit at {self.start_ns / NANOSECONDS:.4f} s: {self.estimates!r}>"
+
+    def __str__(self) -> str:
+        head = f"{self.strike.kind} at {self.start_ns / NANOSECONDS:.4f} s"
+        return "\n".join([head, *map(str, self.estimates)])
+
+    @property
+    def status(self) -> Status:
+        """Status of the first estimate."""
+        return self.estimates[0].status
 
     @property
     def start_ns(self) -> int:
@@ -58,14 +85,14 @@ def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, fin
     try:
         window = segment_window(segment, bicycle, settings)
     except ParameterError as error:
-        estimates = tuple(Estimate(name, "not_observable", str(error)) for name in settings.estimators)
+        estimates = tuple(Estimate(name, Status.NOT_OBSERVABLE, str(error)) for name in settings.estimators)
         return StrikeFit(strike, segment, None, _with_causes(estimates, end, None), bicycle.name, final, end)
     window = _with_start(window, strike, settings)
     found = (ESTIMATORS[name](window, settings) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
     why = find_misspecification(window, settings, estimates[0]) if final and estimates else None
-    estimates = _with_causes(estimates, end, why)
-    return StrikeFit(strike, segment, window, estimates, bicycle.name, final, end, why)
+    explained = _with_causes(estimates, end, why)
+    return StrikeFit(strike, segment, window, explained, bicycle.name, final, end, why)
 
 
 def _with_start(window: Window, strike: Strike, settings: Settings) -> Window:
@@ -80,7 +107,7 @@ def _with_start(window: Window, strike: Strike, settings: Settings) -> Window:
 
 def _with_causes(
     estimates: tuple[Estimate, ...], end: WindowEnd | None, why: Misspecification | None
-) -> tuple[Estimate, ...]:
+) -> Estimates:
     """The estimates, their messages completed by what ended the window early and by a misspecification.
 
     A misspecification concerns the first estimate, and others of the same parameters.
@@ -90,4 +117,4 @@ def _with_causes(
     for one in estimates:
         warning = f"; {why.sentence}" if why and one.names == estimates[0].names else ""
         found.append(replace(one, message=f"{one.message}{cut}{warning}"))
-    return tuple(found)
+    return Estimates(found)

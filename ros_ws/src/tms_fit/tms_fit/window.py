@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from tms_model import Bicycle
+from numpy.typing import ArrayLike, NDArray
+from tms_model import Bicycle, ParameterError, load_bicycle
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
 from tms_model.resistance import Resistance
 
 from tms_fit.gyroscopes import saturated
 from tms_fit.settings import Settings
-from tms_fit.speed_profile import SpeedProfile
+from tms_fit.speed_profile import SpeedProfile, constant_speed
 
 FEEDBACK_R2 = 0.8  # share of a torque proportional to the lean rate, from which on it is lean-rate feedback
 
@@ -59,6 +59,39 @@ class Window:
     def measured(self) -> Array:
         """Both channels (n, 2): lean rate, yaw rate."""
         return np.stack([self.lean_rate, self.yaw_rate], axis=1)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        lean_rate: ArrayLike,
+        yaw_rate: ArrayLike,
+        *,
+        speed: float | SpeedProfile,
+        bicycle: str | Bicycle,
+    ) -> Window:
+        """Window of a free response that starts at the first sample, for `fit_window`.
+
+        time (n,) [s], ascending; lean_rate and yaw_rate (n,) [rad/s], SAE signs (to the right positive), NaN:
+        not measured; speed [m/s] that is constant, or a profile of the time since the first sample; bicycle:
+        name of the catalogue, file, or Bicycle. Raises ParameterError for shapes that don't agree.
+        """
+        seconds, lean, yaw = (np.array(values, dtype=float) for values in (time, lean_rate, yaw_rate))
+        if seconds.ndim != 1 or not seconds.size or not seconds.shape == lean.shape == yaw.shape:
+            raise ParameterError(
+                "window: expected time, lean_rate and yaw_rate of one length, found shapes"
+                f" {seconds.shape}, {lean.shape} and {yaw.shape}"
+            )
+        if not (np.diff(seconds) > 0.0).all() or not np.isfinite(seconds).all():
+            raise ParameterError("window: expected finite, ascending times")
+        return cls(
+            first_ns=round(seconds[0] * 1e9),
+            time=seconds - seconds[0],
+            lean_rate=lean,
+            yaw_rate=yaw,
+            bicycle=load_bicycle(bicycle) if isinstance(bicycle, str) else bicycle,
+            speed=speed if isinstance(speed, SpeedProfile) else constant_speed(float(speed)),
+        )
 
 
 def make_window(

@@ -5,13 +5,14 @@ The motion is known at every instant, so every topic has its own rate without er
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tms_bag import Record, Recording, conversion
+from tms_bag import BagWriter, Record, Recording, conversion, topics
 from tms_bag.event import Event, event_records
 from tms_bag.record import arriving, merged
 from tms_bag.samples import (
@@ -101,6 +102,12 @@ class SimulatedRun:
             start_ns=self.info.start_ns,
             custom_data=self.custom_data(),
         )
+
+    def write(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Write the run into a bag, as `sim run` does. Raises RecordingError for a place that is taken."""
+        with BagWriter(path, self.custom_data(), overwrite=overwrite) as bag:
+            for record in self.records():
+                bag.write(record, topics.qos_of(record.topic))
 
     def custom_data(self) -> dict[str, str]:
         """What made the run, for the metadata of a bag."""

@@ -7,6 +7,7 @@ in `scenarios/`, the command line's `--set` and the simulator node's parameters 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,11 +98,26 @@ def load_scenario(name: str, changes: dict[str, Any] | None = None) -> Scenario:
         )
     values = _flat(_document(path), str(path))
     for key, value in (changes or {}).items():
-        if key not in KEYS:
-            raise ParameterError(f"unknown key {key!r}: expected one of {', '.join(KEYS)}")
+        _check_key(key)
         values[key] = value
-    values = {key: checked(key, values[key]) for key in KEYS}
-    scenario = Scenario(path.stem, values)
+    return _consistent(Scenario(path.stem, {key: checked(key, values[key]) for key in KEYS}))
+
+
+def changed_scenario(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """The scenario with some keys changed. Raises ParameterError."""
+    for key in changes:
+        _check_key(key)
+    changed = {key: checked(key, value) for key, value in changes.items()}
+    return _consistent(Scenario(scenario.name, {**scenario.values, **changed}))
+
+
+def _check_key(key: str) -> None:
+    if key not in KEYS:
+        raise ParameterError(f"unknown key {key!r}: expected one of {', '.join(KEYS)}")
+
+
+def _consistent(scenario: Scenario) -> Scenario:
+    """The scenario, if its keys go together. Raises ParameterError."""
     _check_strikes(scenario)
     _check_rates(scenario)
     return scenario

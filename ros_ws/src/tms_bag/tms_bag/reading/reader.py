@@ -43,6 +43,19 @@ class Topic(NamedTuple):
     count: int  # type: ignore[assignment]  # messages; hides tuple.count, which nobody needs here
 
 
+def open_bag(path: str | os.PathLike[str], salvage: bool = False) -> BagReader:
+    """Reader of a bag, a context manager.
+
+    path: folder of a bag, or an .mcap or .db3 file. salvage: everything that can be read, whatever summaries
+    say. Raises RecordingError if it holds nothing readable.
+
+    >>> with open_bag("bags/tms_strike") as bag:
+    ...     print(bag.message_count > 0, bag.topics[0].name)
+    True /bicycle/events
+    """
+    return BagReader(path, salvage)
+
+
 class BagReader:
     """Reads a bag; use it as a context manager. RecordingError if `path` holds nothing readable.
 

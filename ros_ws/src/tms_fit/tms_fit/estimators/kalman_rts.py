@@ -13,7 +13,7 @@ import numpy as np
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Status
 from tms_fit.estimators.least_squares import decide, fit_model
 from tms_fit.kalman.rts import smooth, smoothed_start
 from tms_fit.kalman.state_space import STATES, StateSpace
@@ -60,7 +60,7 @@ def estimate(
     values, inverse = smooth_problem(problem, conditional, squares.noise["noise_std"], acceleration_noise)
     if not (np.isfinite(values).all() and (np.diag(inverse) > 0.0).all()):
         return Estimate(
-            "kalman_rts", "not_converged", "the solution lost its precision; free fewer parameters"
+            "kalman_rts", Status.NOT_CONVERGED, "the solution lost its precision; free fewer parameters"
         )
     return in_order(_smoothed(squares, problem, values, inverse - conditional), choice.free)
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Status
 from tms_fit.least_squares.irls import fit_problem
 from tms_fit.least_squares.losses import Loss
 from tms_fit.least_squares.make_estimate import answer, in_order, too_short
@@ -125,7 +125,7 @@ def fit_model(name: str, choice: ModelSpec, settings: Settings) -> Estimate:
     """The estimate for what was chosen, under an estimator's name."""
     reason = too_short(choice.problem)
     if reason:
-        return Estimate(name, "too_short", reason, settings=settings)
+        return Estimate(name, Status.TOO_SHORT, reason, settings=settings)
     fitted = fit_problem(choice.problem, choice.noise, Loss(settings.loss), settings.oscillator)
     return answer(name, choice, fitted, settings)
 

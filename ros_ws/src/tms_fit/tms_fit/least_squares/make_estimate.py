@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from tms_model.bicycle import Array
 
-from tms_fit.estimate import Estimate
+from tms_fit.estimate import Estimate, Status
 from tms_fit.least_squares.censoring import log_probability
 from tms_fit.least_squares.irls import Fitted
 from tms_fit.least_squares.model_selection import ModelSpec
@@ -34,11 +34,11 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
     """
     problem, solution, noise = choice.problem, fitted.solution, fitted.noise
     if solution.status == "not_observable":
-        return Estimate(name, solution.status, solution.message, settings=settings)
+        return Estimate(name, Status(solution.status), solution.message, settings=settings)
     covariance = solution.inverse
     if not (np.isfinite(solution.values).all() and (np.diag(covariance) > 0.0).all()):
         text = "the solution lost its precision; free fewer parameters"
-        return Estimate(name, "not_converged", text, settings=settings)
+        return Estimate(name, Status.NOT_CONVERGED, text, settings=settings)
     window = problem.window
     white = noise.std if isinstance(noise, White) else 0.0
     covariance = covariance + nuisance_covariance(problem, solution, noise.rows, white)
@@ -52,7 +52,7 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
     text = _in_words(choice, fitted, settings, autocorrelation)
     return Estimate(
         estimator=name,
-        status=solution.status,
+        status=Status(solution.status),
         message=text if solution.status == "ok" else f"{text}; {solution.message}",
         names=problem.names,
         values=solution.values,
