@@ -9,13 +9,13 @@ import pytest
 from scipy.linalg import block_diag, toeplitz
 from tms_calibrate.pooled_fit import Strike, fit_pooled
 from tms_calibrate.pooled_noise import solve_with_noise
-from tms_calibrate.pooled_posterior import Piece, posterior
 from tms_calibrate.pooled_problem import PooledProblem, Run
 from tms_calibrate.pooled_solver import linearised_run, model_of, solve_pooled
 from tms_calibrate.sandwich_covariance import sandwich_covariance
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.noise.ar import ARCandidates, families, is_autocorrelated
 from tms_fit.noise.ar_process import burg
+from tms_fit.noise.posterior import Piece, posterior
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
@@ -109,7 +109,7 @@ def test_the_pooled_posterior_under_white_noise_is_least_squares() -> None:
         at = linearised_run(problem, run, plain.shared, own)
         none = np.empty((0, len(OWN))), np.empty(0)
         pieces.append(Piece(families(TIME, good, nothing), at.own, at.shared, at.residual, none))
-    found = posterior(pieces, np.zeros(1), NO_PRIOR)
+    found = posterior(pieces, NO_PRIOR, np.zeros(1))
     assert plain.arrow is not None
     np.testing.assert_allclose(found.shift, 0.0, atol=1e-10)
     np.testing.assert_allclose(found.covariance, plain.variance * plain.arrow.shared_inverse, rtol=1e-8)
@@ -135,7 +135,7 @@ def test_what_noise_does_to_least_squares_is_as_dense_algebra_has_it() -> None:
         Piece(families(TIME, np.isfinite(at.residual), law), at.own, at.shared, at.residual, none)
         for at in runs
     ]
-    found = posterior(pieces, np.zeros(1), NO_PRIOR)
+    found = posterior(pieces, NO_PRIOR, np.zeros(1))
     shared, own = sandwich_covariance(plain, runs, pieces, found)
     variance = float(found.variances[0, 0, 0])
     full = np.kron(toeplitz(0.8 ** np.arange(len(TIME))), np.eye(2)) * variance / (1.0 - 0.64)

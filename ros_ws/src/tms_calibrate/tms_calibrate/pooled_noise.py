@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_fit.least_squares.irls import FINEST, by_start
 from tms_fit.noise import ar, oscillator
-from tms_fit.noise.colored import ColoredNoise
-from tms_fit.noise.posterior import Family
+from tms_fit.noise.colored import ColoredNoise, likeliest_noise
+from tms_fit.noise.posterior import Family, Piece, Posterior, posterior
 from tms_fit.parameters import check_known
 from tms_model.bicycle import Array
 
-from tms_calibrate.pooled_posterior import Piece, Posterior, posterior
 from tms_calibrate.pooled_problem import PooledProblem, PooledSolution
 from tms_calibrate.pooled_solver import Linearised, linearised_run, solve_pooled
 from tms_calibrate.sandwich_covariance import sandwich_covariance
@@ -195,13 +194,14 @@ def _law(
         return tuple(made)
 
     ratios: Array | None = None
-    fitted = posterior(pieces(True), ratios, prior, with_own=False)
+    fitted = posterior(pieces(True), prior, ratios, with_own=False)
     for _ in range(looks):  # one run's residuals tell little, all together tell more
         ratios = _closer_ratios(fitted)
         found = {c: _closer(one, fitted.weights.sum(axis=(1 - c, 2))) for c, one in found.items()}
-        fitted = posterior(pieces(True), ratios, prior, with_own=False)
+        fitted = posterior(pieces(True), prior, ratios, with_own=False)
     last = pieces(False)
-    return _Law(found, last, posterior(last, ratios, prior), _noises(last, fitted))
+    noises = tuple(likeliest_noise(one, fitted) for one in last)
+    return _Law(found, last, posterior(last, prior, ratios), noises)
 
 
 def _likelier(times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> str:
@@ -282,18 +282,3 @@ def _closer_ratios(found: Posterior) -> Array:
     std = math.sqrt(float(weights @ (found.ratios - mean) ** 2))
     half = max(REACH * std, 0.5 * float(found.ratios[1] - found.ratios[0]))
     return mean + half * np.linspace(-1.0, 1.0, len(weights))
-
-
-def _noises(pieces: Sequence[Piece], found: Posterior) -> tuple[ColoredNoise, ...]:
-    """The likeliest noise of each run."""
-    *best, ratio = found.best
-    std = math.sqrt(float(found.variances[found.best]))
-    stds = std, std * math.exp(float(found.ratios[ratio]))
-    return tuple(
-        ColoredNoise(
-            np.isfinite(piece.residual),
-            piece.families,
-            {c: family.member(best[c], stds[c]) for c, family in piece.families.items()},
-        )
-        for piece in pieces
-    )

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from tms_fit.noise.ar import ARFamily
 from tms_fit.noise.ar_process import autocovariances
+from tms_fit.noise.posterior import Piece, Posterior
 from tms_model.bicycle import Array
 
-from tms_calibrate.pooled_posterior import Piece, Posterior
 from tms_calibrate.pooled_problem import PooledSolution
 from tms_calibrate.pooled_solver import Linearised
 

@@ -68,7 +68,7 @@ def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
     good = np.isfinite(residual)
     channels = [c for c in range(2) if good[:, c].sum() > 2]
     found = {c: candidates([residual[good[:, c], c]]) for c in channels}
-    return colored_noise(families(time, good, found), good, residual, jacobian)
+    return colored_noise(families(time, good, found), residual, jacobian)
 
 
 def is_autocorrelated(*residuals: Array) -> bool:

@@ -1,4 +1,4 @@
-"""Noise that remembers, of one kind on each channel: the likeliest, and others beside it."""
+"""Autocorrelated noise, one model per channel: the likeliest candidate and those it is averaged with."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-from tms_fit.noise.posterior import ChannelNoise, Family, posterior
+from tms_fit.noise.posterior import ChannelNoise, Family, Piece, Posterior, posterior
 from tms_fit.parameters import CHANNELS
 
 
 @dataclass(frozen=True, eq=False)
 class ColoredNoise:
-    """A process on each channel that was measured."""
+    """A noise process on each channel that was measured."""
 
     good: NDArray[np.bool_]  # (n, 2), measured
-    families: Mapping[int, Family]  # what each channel's noise may be
-    channels: Mapping[int, ChannelNoise]  # what is likeliest
+    families: Mapping[int, Family]  # candidates by channel
+    channels: Mapping[int, ChannelNoise]  # the likeliest candidate by channel
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Those of each channel."""
+        """Parameters of each channel by name, SI."""
         return {
             f"{CHANNELS[c]}_{name}": value
             for c, noise in self.channels.items()
@@ -36,36 +36,46 @@ class ColoredNoise:
         return sum(noise.log_determinant for noise in self.channels.values())
 
     def rows(self, values: Array) -> Array:
-        """Values (n, 2, ...) as rows (m, ...) of variance one; more than samples where some are missing."""
+        """Whiten values (n, 2, ...): rows (m, ...) of variance one, more where samples are missing."""
         parts = [noise.rows(values[self.good[:, c], c]) for c, noise in self.channels.items()]
         return np.concatenate(parts) if parts else np.empty((0, *values.shape[2:]))
 
     def innovations(self, residual: Array) -> Array:
-        """Residuals (n, 2) made white, of variance one."""
+        """Whitened residuals (n, 2), of variance one."""
         white = np.full(residual.shape, np.nan)
         for c, noise in self.channels.items():
             white[self.good[:, c], c] = noise.innovations(residual[self.good[:, c], c])
         return white
 
     def average(self, residual: Array, jacobian: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Mean change (p,) of the parameters and their covariance (p, p) over what the noise may be.
+        """Mean change (p,) of the parameters and their covariance (p, p), averaged over the candidates.
 
-        residual (n, 2) and jacobian (n, 2, p) at the solution; prior: rows (k, p) that priors add, and
-        how far (k,) the solution is from them.
+        residual (n, 2) and jacobian (n, 2, p) at the solution; prior: rows (k, p) of the priors and their
+        residuals (k,).
         """
-        found = posterior(self.families, self.good, residual, jacobian, prior)
+        if not self.families:
+            count = jacobian.shape[2]
+            return np.zeros(count), np.zeros((count, count))
+        found = posterior([_one_run(self.families, residual, jacobian)], prior, with_own=False)
         return found.shift, found.covariance
 
 
-def colored_noise(
-    families: Mapping[int, Family], good: NDArray[np.bool_], residual: Array, jacobian: Array
-) -> ColoredNoise:
-    """The noise of families by channel that residuals (n, 2) show, whose fit had derivatives (n, 2, p)."""
+def colored_noise(families: Mapping[int, Family], residual: Array, jacobian: Array) -> ColoredNoise:
+    """The likeliest noise by residuals (n, 2) of a fit with derivatives (n, 2, p), candidates by channel."""
+    good = np.isfinite(residual)
     if not families:
         return ColoredNoise(good, {}, {})
-    found = posterior(families, good, residual, jacobian)
-    channels = {
-        c: family.member(best, std)
-        for (c, family), best, std in zip(families.items(), found.best, found.stds, strict=False)
-    }
-    return ColoredNoise(good, families, channels)
+    no_prior = np.empty((0, jacobian.shape[2])), np.empty(0)
+    piece = _one_run(families, residual, jacobian)
+    return likeliest_noise(piece, posterior([piece], no_prior, with_own=False))
+
+
+def likeliest_noise(piece: Piece, found: Posterior) -> ColoredNoise:
+    """The combination of largest weight, at the samples of one run."""
+    channels = {c: family.member(found.best[c], found.stds[c]) for c, family in piece.families.items()}
+    return ColoredNoise(np.isfinite(piece.residual), piece.families, channels)
+
+
+def _one_run(families: Mapping[int, Family], residual: Array, jacobian: Array) -> Piece:
+    own = np.empty((*residual.shape, 0))
+    return Piece(families, own, jacobian, residual, (np.empty((0, 0)), np.empty(0)))

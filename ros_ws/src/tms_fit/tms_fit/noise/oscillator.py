@@ -40,7 +40,7 @@ def fit(time: Array, residual: Array, jacobian: Array, stated: Sequence[float] =
         for c in range(2)
         if good[:, c].sum() > 2
     }
-    return colored_noise(families(time, good, found), good, residual, jacobian)
+    return colored_noise(families(time, good, found), residual, jacobian)
 
 
 def candidates(times: Sequence[Array], residuals: Sequence[Array], stated: Sequence[float] = ()) -> Array:

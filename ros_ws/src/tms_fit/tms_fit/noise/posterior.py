@@ -1,8 +1,10 @@
-"""Parameters and their covariance averaged over what the noise may be.
+"""Posterior distribution of the noise model, and unknowns averaged over it, for one run or several.
 
-Each channel has a family of candidates; each combination of candidates, and of ratios between the channels'
-deviations, has the weight of its restricted likelihood, which allows for what the fit has taken out of the
-residuals; the common variance is integrated out.
+Each channel has a family of candidate noise models, the same for all runs. Each combination of candidates of
+the two channels and of ratios between the channels' deviations has the weight of its restricted likelihood,
+which allows for the unknowns that the fit has removed from the residuals. The common variance is integrated
+out. A run's own unknowns are projected out of its rows for each combination (block elimination), so that cost
+grows with the number of runs, not with its square. One run is one piece without unknowns of its own.
 
 References: H. D. Patterson and R. Thompson, Biometrika 58 (1971), doi 10.1093/biomet/58.3.545; D. A.
 Harville, Biometrika 61 (1974), doi 10.1093/biomet/61.2.383, for its meaning as a posterior.
@@ -11,17 +13,16 @@ Harville, Biometrika 61 (1974), doi 10.1093/biomet/61.2.383, for its meaning as 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-LEAST = 1e-10  # smallest singular value of the derivatives, per largest, that counts
-CANCELLED = 1e-12  # of a sum of squares: what is left of it after subtraction has no true digits below this
-RATIOS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
+SMALLEST_SINGULAR_VALUE = 1e-10  # of the scaled derivatives, per largest, that counts
+ROUNDING = 1e-12  # share of a sum of squares below which a difference of two has no true digits
+RATIO_STEPS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
 
 
 class ChannelNoise(Protocol):
@@ -33,124 +34,277 @@ class ChannelNoise(Protocol):
 
     @property
     def log_determinant(self) -> float:
-        """Of the covariance of the samples."""
+        """Logarithm of the determinant of the samples' covariance."""
 
     def rows(self, values: Array) -> Array:
-        """Values (m, ...) of the samples as rows of variance one; as many, or more where some are missing."""
+        """Whiten values (m, ...) of the samples: rows of variance one, more than m where some are missing."""
 
     def innovations(self, values: Array) -> Array:
-        """Values (m,) of the samples made white, of variance one."""
+        """Whitened values (m,) at the samples, of variance one."""
 
 
 class Family(Protocol):
-    """What one channel's noise may be: g candidates in units of a deviation of one."""
+    """Candidates for one channel's noise: g models with innovations of deviation one."""
 
     @property
     def log_determinants(self) -> Array:
-        """Of each candidate's covariance (g,)."""
+        """Logarithm of the determinant (g,) of each candidate's covariance."""
 
     def products(self, values: Array) -> Array:
-        """Whitened values' products (g, q, q), of values (m, q) of the samples."""
+        """Products (g, q, q) of whitened values, for values (m, q) of the samples."""
 
     def member(self, index: int, std: float) -> ChannelNoise:
         """One candidate at a deviation [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
-    """What residuals say about the noise, and with it about the parameters they were left by."""
+class Piece:
+    """One run linearised around its solution, with the candidates for its noise."""
 
-    best: tuple[int, ...]  # likeliest member of each channel's family
-    stds: tuple[float, ...]  # its deviation [rad/s]
-    shift: Array  # (p,) mean change of the parameters
-    covariance: Array  # (p, p)
+    families: Mapping[int, Family]  # of each channel that was measured
+    own: Array  # (n, 2, q) derivatives by its own unknowns
+    shared: Array  # (n, 2, s) derivatives by unknowns that all runs share
+    residual: Array  # (n, 2) [rad/s], NaN: not measured
+    prior: tuple[Array, Array]  # rows (k, q) of priors on its own unknowns and their residuals (k,)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Weights of all combinations (g, h, r), and the unknowns averaged over them."""
+
+    weights: Array  # (g, h, r) candidates of the first channel, of the second, ratios
+    variances: Array  # (g, h, r) [rad^2/s^2] of the first channel's innovations
+    ratios: Array  # (r,) logarithms of the second channel's deviation per the first's
+    shift: Array  # (s,) mean change of the shared unknowns
+    covariance: Array  # (s, s)
+    own_shift: tuple[Array, ...]  # (q,) of each run
+    own_covariance: tuple[Array, ...]  # (q, q)
+
+    @property
+    def best(self) -> tuple[int, int, int]:
+        """Indices of the combination of largest weight."""
+        first, second, ratio = np.unravel_index(int(self.weights.argmax()), self.weights.shape)
+        return int(first), int(second), int(ratio)
+
+    @property
+    def stds(self) -> tuple[float, float]:
+        """Deviations [rad/s] of the two channels' innovations in that combination."""
+        std = math.sqrt(float(self.variances[self.best]))
+        return std, std * math.exp(float(self.ratios[self.best[2]]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """Own unknowns of a run with orthonormal derivatives, and shared ones orthogonal to those."""
+
+    own: Array  # T (q, q')
+    leak: Array  # K (q, s) of the shared unknowns into the run's own
+    shared: Array  # W (s, s')
+
+    @property
+    def matrix(self) -> Array:
+        """(q + s + 1, q' + s' + 1) for derivatives by own and shared unknowns and the residual."""
+        (q, a), (s, b) = self.own.shape, self.shared.shape
+        matrix = np.zeros((q + s + 1, a + b + 1))
+        matrix[:q, :a], matrix[:q, a : a + b] = self.own, -self.leak @ self.shared
+        matrix[q : q + s, a : a + b] = self.shared
+        matrix[-1, -1] = 1.0
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """One run with its own unknowns solved for, per combination (...)."""
+
+    inverse: Array  # (..., q', q') of the normal matrix of its own unknowns
+    cross: Array  # (..., q', s' + 1) with the shared unknowns and the residual
+    left: Array  # (..., s' + 1, s' + 1) normal matrix of what is left
+    log_determinant: Array  # (...)
 
 
 def posterior(
-    families: Mapping[int, Family],
-    good: NDArray[np.bool_],
-    residual: Array,
-    jacobian: Array,
-    held: tuple[Array, Array] | None = None,
+    pieces: Sequence[Piece],
+    prior: tuple[Array, Array],
+    ratios: Array | None = None,
+    with_own: bool = True,
 ) -> Posterior:
-    """Weights of all combinations by restricted likelihood.
+    """Weights of all combinations by restricted likelihood, and the unknowns averaged over them.
 
-    residual (n, 2) and jacobian (n, 2, p) at the solution, good (n, 2) what was measured; held: rows (k, p)
-    that priors add, and how far (k,) the solution is from them.
+    prior: rows (k, s) of priors on shared unknowns and their residuals (k,). ratios (r,): logarithms of the
+    ratios between the channels' deviations; None: a grid around the residuals' ratio. with_own: False where
+    only the shared unknowns are needed.
     """
-    back = orthogonal(np.concatenate([jacobian[good[:, c], c] for c in families]))
-    values = np.concatenate([jacobian @ back, residual[:, :, None]], axis=2)
-    products = [family.products(values[good[:, c], c]) for c, family in families.items()]
-    prior = [-0.5 * family.log_determinants for family in families.values()]
-    counts = [int(good[:, c].sum()) for c in families]
-    ratios = _ratios(products, counts)
-    grams = products[0][:, None, None]
-    logs = prior[0][:, None, None] + np.zeros((1, 1, len(ratios)))
-    if len(families) == 2:
-        grams = grams + products[1][None, :, None] * np.exp(-2.0 * ratios)[None, None, :, None, None]
-        logs = logs + prior[1][None, :, None] - counts[1] * ratios
-    rows, off = (np.zeros((0, len(back))), np.zeros(0)) if held is None else held
-    extra = np.concatenate([rows @ back, off[:, None]], axis=1)
-    known = extra.T @ extra
-    found = _average(grams, logs, ratios, sum(counts), known)
-    return Posterior(found.best, found.stds, back @ found.shift, back @ found.covariance @ back.T)
+    bases = _bases(pieces)
+    products = [_products(piece, basis) for piece, basis in zip(pieces, bases, strict=True)]
+    counts = [
+        sum(int(np.isfinite(piece.residual[:, c]).sum()) for piece in pieces if c in piece.families)
+        for c in range(2)
+    ]
+    whole: list[Array] = [sum((one[c][:, -1, -1] for one in products), np.zeros(1)) for c in range(2)]
+    if ratios is None:
+        ratios = _ratios(whole, counts, len(pieces))
+    scale = np.exp(-2.0 * ratios)
+    squares = whole[0][:, None, None] + whole[1][None, :, None] * scale
+    rough = float(squares.min()) / sum(counts)  # a variance, by which priors are weighted
+    runs = []
+    for piece, basis, (first, second) in zip(pieces, bases, products, strict=True):
+        grams = first[:, None, None] + second[None, :, None] * scale[:, None, None]
+        rows, off = piece.prior
+        grams = grams + rough * _gram(rows, np.zeros((len(off), len(basis.shared))), off, basis)
+        runs.append(_eliminate(grams, basis.own.shape[1]))
+    rows, off = prior
+    count = bases[0].own.shape[1]
+    known = _gram(np.zeros((len(off), len(bases[0].own))), rows, off, bases[0])[count:, count:]
+    left = sum(run.left for run in runs) + rough * known
+    return _average(pieces, bases, runs, left, ratios, counts, with_own)
 
 
 def orthogonal(jacobian: Array) -> Array:
     """Matrix (p, k) that makes derivatives (m, p) orthonormal columns (m, k).
 
-    In that basis normal equations don't cost half of the digits; a direction that nothing tells is left out.
+    Normal equations in that basis keep all digits. Directions without information are left out.
     """
+    if not jacobian.shape[1]:
+        return np.empty((0, 0))
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     _, singular, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
-    kept = singular > LEAST * singular[:1]
+    kept = singular > SMALLEST_SINGULAR_VALUE * singular[:1]
     basis: Array = rows[kept].T / singular[kept] / scale[:, None]
     return basis
 
 
-def _average(grams: Array, logs: Array, ratios: Array, count: int, known: Array) -> Posterior:
-    """Posterior by products of whitened values (g, h, r, p + 1, p + 1), the residual's last.
-
-    known (p + 1, p + 1): the same of the priors' rows.
-    """
-    size = grams.shape[-1] - 1
-    rough = float(grams[..., size, size].min()) / count  # a variance, by which priors are weighed
-    grams = grams + rough * known
-    scale = np.sqrt(np.diagonal(grams, axis1=-2, axis2=-1).max(axis=(0, 1, 2))[:size])
+def _average(
+    pieces: Sequence[Piece],
+    bases: list[_Basis],
+    runs: list[_Eliminated],
+    left: Array,
+    ratios: Array,
+    counts: list[int],
+    with_own: bool,
+) -> Posterior:
+    """Mixture of the unknowns' distributions, weighted by restricted likelihood."""
+    size = left.shape[-1] - 1
+    scale = np.sqrt(np.diagonal(left, axis1=-2, axis2=-1).max(axis=(0, 1, 2))[:size])
     scale[scale == 0.0] = 1.0
-    normal = grams[..., :size, :size] / np.outer(scale, scale)
-    degrees = count - size
-    whole = grams[..., size, size]
-    normal = normal + CANCELLED * np.eye(
-        size
-    )  # a direction that only a channel of no weight tells stays finite
+    # A direction with information in a channel of no weight only stays finite.
+    normal = left[..., :size, :size] / np.outer(scale, scale) + ROUNDING * np.eye(size)
     inverse = np.linalg.inv(normal)
-    shifts = np.einsum("...ij,...j->...i", inverse, grams[..., :size, size] / scale)
-    explained = np.einsum("...i,...i->...", shifts, grams[..., :size, size] / scale)
-    squares = np.maximum(whole - explained, CANCELLED * whole)  # without noise the difference is rounding
-    logs = logs - 0.5 * degrees * np.log(squares) - 0.5 * np.linalg.slogdet(normal)[1]
+    cross = left[..., :size, size] / scale
+    steps = np.einsum("...ij,...j->...i", inverse, cross)
+    whole = left[..., size, size]
+    squares = whole - np.einsum("...i,...i->...", steps, cross)
+    squares = np.maximum(squares, ROUNDING * whole)  # without noise the difference is rounding
+    degrees = sum(counts) - size - sum(basis.own.shape[1] for basis in bases)
+    logs = -0.5 * degrees * np.log(squares) - 0.5 * np.linalg.slogdet(normal)[1] - counts[1] * ratios
+    for piece, run in zip(pieces, runs, strict=True):
+        logs = logs - 0.5 * run.log_determinant
+        for c, family in piece.families.items():
+            logs = logs - 0.5 * family.log_determinants.reshape((-1, 1, 1) if c == 0 else (1, -1, 1))
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    variances = weights * squares / degrees
-    mean = np.einsum("ghr,ghri->i", weights, shifts)
-    off = shifts - mean
-    spread = np.einsum("ghr,ghri,ghrj->ij", weights, off, off)
-    spread += np.einsum("ghr,ghrij->ij", variances, inverse)
-    best = np.unravel_index(int(logs.argmax()), logs.shape)
-    std = math.sqrt(float(squares[best]) / degrees)
+    variances = squares / degrees
+    turn, covariances = bases[0].shared / scale, variances[..., None, None] * inverse
+    shift, covariance = _mixed(weights, steps, covariances)
+    own = _own(bases, runs, weights, variances, scale, steps, covariances) if with_own else []
     return Posterior(
-        best=(int(best[0]), int(best[1])),
-        stds=(std, std * math.exp(float(ratios[best[2]]))),
-        shift=mean / scale,
-        covariance=spread / np.outer(scale, scale),
+        weights=weights,
+        variances=variances,
+        ratios=ratios,
+        shift=turn @ shift,
+        covariance=turn @ covariance @ turn.T,
+        own_shift=tuple(one for one, _ in own),
+        own_covariance=tuple(one for _, one in own),
     )
 
 
-def _ratios(products: list[Array], counts: list[int]) -> Array:
-    """Logarithms of the second channel's deviation per the first's, around what the residuals show."""
-    if len(products) < 2:
+def _own(
+    bases: list[_Basis],
+    runs: list[_Eliminated],
+    weights: Array,
+    variances: Array,
+    scale: Array,
+    steps: Array,
+    covariances: Array,
+) -> list[tuple[Array, Array]]:
+    """Mean change (q,) and covariance (q, q) of each run's own unknowns.
+
+    steps (..., s') and covariances (..., s', s') of the shared ones, times scale (s',).
+    """
+    found, size = [], steps.shape[-1]
+    for basis, run in zip(bases, runs, strict=True):
+        out, back = run.cross[..., :size], run.cross[..., size]
+        leak = (basis.own @ run.inverse @ out + basis.leak @ basis.shared) / scale
+        own_steps = np.einsum("...ij,...j->...i", basis.own @ run.inverse, back)
+        own_steps = own_steps - np.einsum("...ij,...j->...i", leak, steps)
+        spread = variances[..., None, None] * (basis.own @ run.inverse @ basis.own.T)
+        found.append(_mixed(weights, own_steps, spread + leak @ covariances @ np.swapaxes(leak, -1, -2)))
+    return found
+
+
+def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
+    """Mean (p,) and covariance (p, p) of a mixture of normal distributions (g, h, r)."""
+    mean = np.einsum("ghr,ghri->i", weights, means)
+    off = means - mean
+    spread = np.einsum("ghr,ghri,ghrj->ij", weights, off, off)
+    spread += np.einsum("ghr,ghrij->ij", weights, covariances)
+    return mean, spread
+
+
+def _eliminate(grams: Array, count: int) -> _Eliminated:
+    """A run's products (..., d, d) with its first `count` unknowns projected out."""
+    if not count:
+        shape = grams.shape[:-2]
+        return _Eliminated(np.empty((*shape, 0, 0)), grams[..., :0, :], grams, np.zeros(shape))
+    normal = grams[..., :count, :count] + ROUNDING * np.eye(count)
+    inverse: Array = np.asarray(np.linalg.inv(normal), dtype=float)
+    cross = grams[..., :count, count:]
+    left = grams[..., count:, count:] - np.swapaxes(cross, -1, -2) @ inverse @ cross
+    determinant: Array = np.asarray(np.linalg.slogdet(normal)[1], dtype=float)
+    return _Eliminated(inverse, cross, left, determinant)
+
+
+def _products(piece: Piece, basis: _Basis) -> list[Array]:
+    """Products (g, d, d) of each channel's whitened values; zero (1, d, d) where none was measured."""
+    values = np.concatenate([piece.own, piece.shared, piece.residual[:, :, None]], axis=2) @ basis.matrix
+    good = np.isfinite(piece.residual)
+    size = values.shape[2]
+    return [
+        piece.families[c].products(values[good[:, c], c])
+        if c in piece.families
+        else np.zeros((1, size, size))
+        for c in range(2)
+    ]
+
+
+def _gram(own: Array, shared: Array, off: Array, basis: _Basis) -> Array:
+    """Products (d, d) of prior rows in a basis."""
+    rows = np.concatenate([own, shared, off[:, None]], axis=1) @ basis.matrix
+    gram: Array = rows.T @ rows
+    return gram
+
+
+def _bases(pieces: Sequence[Piece]) -> list[_Basis]:
+    """One basis per run; that of the shared unknowns is common."""
+    owns, leaks, projected = [], [], []
+    for piece in pieces:
+        good = np.isfinite(piece.residual)
+        good[:, [c for c in range(2) if c not in piece.families]] = False
+        own, shared = piece.own[good], piece.shared[good]
+        turn = orthogonal(own)
+        leak = turn @ (turn.T @ (own.T @ shared))
+        owns.append(turn)
+        leaks.append(leak)
+        projected.append(shared - own @ leak)
+    common = orthogonal(np.concatenate(projected))
+    return [_Basis(turn, leak, common) for turn, leak in zip(owns, leaks, strict=True)]
+
+
+def _ratios(whole: list[Array], counts: list[int], run_count: int) -> Array:
+    """Logarithms of the ratios around that of the residuals, as uncertain as one run leaves it."""
+    if not (counts[0] and counts[1]):
         return np.zeros(1)
-    least = [float(one[:, -1, -1].min()) / count for one, count in zip(products, counts, strict=True)]
-    std = math.sqrt(0.5 / counts[0] + 0.5 / counts[1])
-    return 0.5 * math.log(max(least[1], 1e-300) / max(least[0], 1e-300)) + std * RATIOS
+    least = [float(one.min()) / count for one, count in zip(whole, counts, strict=True)]
+    std = float(np.sqrt(0.5 * run_count / counts[0] + 0.5 * run_count / counts[1]))
+    found: Array = 0.5 * np.log(max(least[1], 1e-300) / max(least[0], 1e-300)) + std * RATIO_STEPS
+    return found
