@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tms_model import ParameterError, load_bicycle
 from tms_sim.floor import FLOORS, WHEELS, load_floor, load_wheels
-from tms_sim.intervention import FOLDER, changed_bicycle, intervention_names, load_intervention
+from tms_sim.intervention import FOLDER, changed_bicycle, load_intervention
 from tms_sim.motion import Trajectory
 
 # Nothing that hides whether the bicycle stays up by itself: constant speed, hardly struck.
@@ -25,7 +25,7 @@ GENTLE: dict[str, Any] = {
     "release__lean_deg": 0.1,
     "duration": 12.0,
 }
-CASES = [("intervention", name) for name in intervention_names()] + [("wheels", "polyurethane")]
+CASES = [("intervention", path.stem) for path in sorted(FOLDER.glob("*.yaml"))] + [("wheels", "polyurethane")]
 
 
 def outcome(key: str, name: str) -> dict[str, bool | None]:

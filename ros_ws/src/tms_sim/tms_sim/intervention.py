@@ -48,11 +48,6 @@ class Intervention:
     outcome: Mapping[str, bool | None]  # shimmy, self_stable, slows_drastically; None: not told
 
 
-def intervention_names() -> list[str]:
-    """Names of the shipped interventions, sorted."""
-    return sorted(path.stem for path in FOLDER.glob("*.yaml"))
-
-
 def load_intervention(name: str) -> Intervention:
     """Intervention by name or file. Raises ParameterError."""
     path = named_file(FOLDER, name, "intervention")

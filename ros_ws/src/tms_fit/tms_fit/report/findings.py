@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from tms_fit.diagnostics.hypothesis_tests import HypothesisTest
 from tms_fit.diagnostics.residual_tests import ResidualDiagnostics, probability
 from tms_fit.report.element import Element, element, table
@@ -48,12 +46,6 @@ def hypotheses_table(verdicts: tuple[HypothesisTest, ...]) -> Element | None:
         summary if rejected else element("p", "None of them is rejected."),
         table([*head, "change of AIC", "change of BIC"], rows, class_="hypotheses"),
     )
-
-
-def _verdict(one: HypothesisTest) -> str:
-    if math.isnan(one.p_value):
-        return "the data can't tell"
-    return "rejected" if one.rejected else "not rejected"
 
 
 def criticism_table(criticism: ResidualDiagnostics) -> Element | None:

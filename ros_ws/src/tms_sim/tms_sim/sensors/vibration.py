@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 from tms_model.bicycle import Array
 
@@ -29,15 +28,6 @@ class Padding:
 
     natural_frequency: float  # [Hz], 0: no padding, the sensor sits on the frame
     damping_ratio: float  # [1]
-
-
-def transmissibility(frequency: Array, padding: Padding) -> NDArray[np.complex128]:
-    """Sensor's over frame's acceleration (n,), a complex number for each frequency [Hz]."""
-    if padding.natural_frequency <= 0.0:
-        return np.ones(len(frequency), dtype=complex)
-    w, s = 2.0 * math.pi * padding.natural_frequency, 2j * math.pi * np.asarray(frequency)
-    damping = 2.0 * padding.damping_ratio * w * s
-    return np.asarray((damping + w**2) / (s**2 + damping + w**2), dtype=np.complex128)
 
 
 def floor_vibration(
