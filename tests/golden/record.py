@@ -167,8 +167,12 @@ def cases() -> dict[str, str]:
     )
     found |= {f"together/{name}": f"fit together {words} --json" for name, words in TOGETHER.items()}
     found["calibrate/delft"] = CALIBRATE
+    found["calibrate/matrices"] = (
+        "fit calibrate bags/tms_strike {runs}/tms_strike-1 {runs}/tms_strike-2 {runs}/tms_strike-3"
+        " --free K0_lean_steer,C1_lean_steer --each initial_lean_rate -o {out}/mine.yaml --json"
+    )
     found["calibrate/one"] = (
-        "fit calibrate {runs}/delft_push-1 {runs}/delft_push-2 --free steer_damper -o {out}/mine.yaml --json"
+        "fit calibrate bags/delft_push {runs}/delft_push-1 {runs}/delft_push-2 {runs}/delft_push-3 --free steer_damper -o {out}/mine.yaml --json"
     )
     found |= {
         f"model/{b}/{name}": f"model {words} {b} --json" for b in BICYCLES for name, words in MODELS.items()
