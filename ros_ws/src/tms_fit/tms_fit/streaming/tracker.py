@@ -49,7 +49,7 @@ class StrikeTracker:
         self._detector = ManualStrikes(tuple(strike_times)) if strike_times else StrikeDetector()
         self._response_ns = round((settings.window + self._detector.latency) * NANOSECONDS)
         self._now_ns = 0
-        self._first_ns: int | None = None  # the first sample kept
+        self.first_ns = -(2**63)  # samples before are no longer needed
         self.strike_count = 0  # found so far
         self._open: list[Strike] = []
         self._onsets: list[int] = []  # [ns] of strikes, as far back as samples are kept
@@ -65,16 +65,9 @@ class StrikeTracker:
         """Strikes whose free response is still unfolding."""
         return self._open
 
-    @property
-    def first_ns(self) -> int:
-        """First sample [ns] that is still needed."""
-        return self._now_ns if self._first_ns is None else self._first_ns
-
     def process(self, time_ns: int, lean_rate: float) -> Strike | None:
         """Use the next sample; return the strike that it completes, if any."""
         self._now_ns = time_ns
-        if self._first_ns is None:
-            self._first_ns = time_ns
         strike = self._detector.push(time_ns, lean_rate)
         if strike is not None and strike.kind != "given":
             strike = self._accepted(strike)
@@ -90,7 +83,7 @@ class StrikeTracker:
         found = []
         while self._open and self._now_ns > self._open[0].time_ns + self._response_ns:
             found += self._close_oldest()
-        if not self._open:
+        if not self._open and self.first_ns < self._now_ns - 2 * HISTORY_NS:
             self._discard()
         return found
 
@@ -125,13 +118,13 @@ class StrikeTracker:
         end_ns = first_ns + round(window * NANOSECONDS)
         end_ns = min([end_ns, *(onset for onset in self._onsets if onset > first_ns)])
         has_ended = end is not None and end.kind != "recording"
-        if not has_ended and end_ns > last_ns and self._first_ns is not None and self._first_ns <= first_ns:
+        if not has_ended and end_ns > last_ns and self.first_ns <= first_ns:
             return self.response(response.strike, end_ns)
         return FreeResponse(response.strike, segment.until(end_ns), end if end_ns >= last_ns else None)
 
     def forget(self) -> None:
         """Release all memory but the onsets of strikes; windows can't become longer any more."""
-        self._first_ns, self._detector = None, ManualStrikes(())
+        self.first_ns, self._detector = self._now_ns + 1, ManualStrikes(())
 
     def _accepted(self, strike: Strike) -> Strike | None:
         """The strike with its time refined by the bicycle's equations; None, withdrawn, where it is none."""
@@ -226,9 +219,7 @@ class StrikeTracker:
 
     def _discard(self) -> None:
         """Let go of samples that nothing needs any more, many at a time."""
-        if self.first_ns >= self._now_ns - 2 * HISTORY_NS:
-            return
         keep_ns = self._now_ns - HISTORY_NS
         times = self._samples.time_ns
-        self._first_ns = int(times[bisect_right(times, keep_ns)])
+        self.first_ns = int(times[bisect_right(times, keep_ns)])
         self._onsets = [onset for onset in self._onsets if onset > keep_ns]
