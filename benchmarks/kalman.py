@@ -1,8 +1,9 @@
-"""How fast many runs are filtered, against filterpy and statsmodels. See benchmarks/README.md."""
+"""Speed of the Kalman filters and smoothers against filterpy and statsmodels. See benchmarks/README.md."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import sys
 
@@ -11,6 +12,8 @@ from filterpy.kalman import KalmanFilter
 from measure import Timing, by_processor, in_turn, print_machine
 from numpy.typing import NDArray
 from tms_fit.kalman.batch import filter_batch, smooth_start
+from tms_fit.kalman.ekf import ExtendedKalmanFilter
+from tms_fit.kalman.rts import smooth
 from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space
 from tms_model import linear_system, load_bicycle
 
@@ -45,6 +48,11 @@ def main() -> None:
         {
             "filterpy, one run": lambda: by_filterpy(space, measured[0]),
             "statsmodels, one run": lambda: by_statsmodels(space, measured[0]),
+            "tms_fit, sample by sample": lambda: by_step(measured[0], parameter_states=False),
+            "tms_fit, sample by sample, parameter states": lambda: by_step(
+                measured[0], parameter_states=True
+            ),
+            "tms_fit, one run, all states smoothed": lambda: smooth(space, measured[0]),
             f"tms_fit, {runs} runs": lambda: filter_batch(space, measured),
             f"tms_fit, {runs} runs, filter and smoother": lambda: smooth_start(
                 filter_batch(space, measured), [2, 4, 5]
@@ -72,6 +80,16 @@ def by_filterpy(space: StateSpace, measured: Array) -> Array:
         kalman.update(sample.reshape(-1, 1), R=noise, H=space.rows[k])
     state: Array = kalman.x[:, 0]
     return state
+
+
+def by_step(measured: Array, parameter_states: bool) -> Array:
+    """State (4,) at the last sample by the filter that runs along, speed and C_r estimated or not."""
+    running = ExtendedKalmanFilter(load_bicycle("tms_eq_10_1"), NOISE, parameter_states)
+    unknown = (math.nan, math.nan, math.nan)
+    for k, (lean_rate, yaw_rate) in enumerate(measured.tolist()):
+        time_ns = round(k * 1e9 / RATE)
+        step = running.step(time_ns, (lean_rate, math.nan, yaw_rate), unknown, 3.6, 0.0)
+    return step.state
 
 
 def by_statsmodels(space: StateSpace, measured: Array) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tms_fit.estimators import kalman_rts
 from tms_fit.least_squares.varpro import Problem, Solution, solve
 from tms_fit.response.prediction import predictor
 from tms_fit.speed_profile import constant_speed
@@ -53,6 +54,9 @@ def test_standard_errors_reach_the_bound(entry: dict[str, object]) -> None:
     assert solution.values[index] == pytest.approx(CASE["initial_lean_rate"], rel=1e-9)
     std = CASE["noise"] * np.sqrt(solution.inverse[index, index])
     assert std == pytest.approx(entry["std"], abs=1.01 * last_digit(entry["std"]))  # type: ignore[arg-type]
+    smoothed, inverse = kalman_rts.smooth_problem(Problem(window, free), solution.inverse)
+    assert smoothed[index] == pytest.approx(CASE["initial_lean_rate"], rel=1e-9)
+    assert CASE["noise"] * np.sqrt(inverse[index, index]) == pytest.approx(std, rel=1e-9)
 
 
 @pytest.mark.parametrize("entry", PUBLISHED["bounds_with_speed"], ids=lambda e: ",".join(e["free"]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, multivariate_normal
 from tms_fit.kalman.batch import filter_batch, smooth_start
 from tms_fit.kalman.rts import smooth, smoothed_start
 from tms_fit.kalman.state_space import STATES, StateSpace, bicycle_space, with_oscillator
@@ -98,6 +98,18 @@ def test_start_with_its_prior_is_that_of_stacked_least_squares() -> None:
         assert start.values[number] == pytest.approx(expected, abs=1e-9)
         # the difference of two covariances, of which the prior's is up to 4: 1e-12 of that can't be told
         assert start.covariance[number] == pytest.approx(np.linalg.inv(matrix.T @ matrix), abs=1e-11)
+
+
+def test_likelihood_by_innovations_is_that_of_the_joint_density() -> None:
+    # All measurements of a run are one normal vector: y = A x0 + n, mean A m, covariance A P0 A' + R.
+    model, run = space(), measured(1, 0.2)[0]
+    columns = np.stack([clean(unit) for unit in np.eye(STATES)], axis=-1).reshape(-1, STATES)
+    spread = columns @ model.covariance @ columns.T + np.diag(model.noise.ravel())
+    good = np.isfinite(run.ravel())
+    joint = multivariate_normal(columns[good] @ model.mean, spread[np.ix_(good, good)])
+    assert filter_batch(model, run[None]).log_likelihood[0] == pytest.approx(
+        joint.logpdf(run.ravel()[good]), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("oscillator", [False, True])

@@ -223,9 +223,9 @@ class ExtendedKalmanFilter:
 
     def _predict(self, duration: float, speed: float, steer_torque: float) -> None:
         """Predict over some seconds at a given speed."""
-        transition, torque_step, process = self._transitions.at(speed, duration)
-        torque = np.array([[steer_torque]]) if steer_torque else None
-        self._kalman.predict(torque, B=torque_step, F=transition, Q=process)
+        kalman = self._kalman
+        kalman.F, kalman.B, kalman.Q = self._transitions.at(speed, duration)
+        kalman.predict(np.array([[steer_torque]]) if steer_torque else None)
 
     def _predict_coasting(self, coasting: Coasting, duration: float, steer_torque: float) -> None:
         """Predict over some seconds while the speed falls by rolling resistance."""
@@ -245,7 +245,8 @@ class ExtendedKalmanFilter:
         # covariance and of second order in the step for what they pass on to the bicycle.
         process = 0.5 * duration * (self._density + jacobian.dot(self._density).dot(jacobian.T))
         process[:4, :4] += self._transitions.at(0.5 * (speed + step.speed), duration)[2]
-        kalman.predict(F=jacobian, Q=process)
+        kalman.F, kalman.Q = jacobian, process
+        kalman.predict()
         kalman.x = predicted  # f(x), where filterpy has F x
 
     def _update_speed(self, coasting: Coasting, speed: float, time_ns: int, speed_ns: int) -> None:
@@ -263,9 +264,10 @@ class ExtendedKalmanFilter:
     ) -> tuple[bool, bool]:
         """Update with lean rate and yaw rate; returns which of them are present."""
         state = self._kalman.x
-        lean_rate, yaw_rate = _lean_and_yaw_rate(angular_velocity, state.item(LEAN))
+        lean_rate, w_y, w_z = angular_velocity
+        yaw_rate = _yaw_rate(w_y, w_z, state.item(LEAN))
         measured = np.array(((lean_rate,), (yaw_rate,)))
-        present = not math.isnan(lean_rate), not math.isnan(yaw_rate)
+        present = math.isfinite(lean_rate), math.isfinite(yaw_rate)
         if self._coasting is None:
             rows = self._rows
             rows[1, STEER] = speed * self._yaw_gain
@@ -339,13 +341,11 @@ def make_filter(bicycle: Bicycle, settings: Settings) -> ExtendedKalmanFilter:
     return ExtendedKalmanFilter(bicycle, settings.gyroscope_noise, True, initial, process)
 
 
-def _lean_and_yaw_rate(angular_velocity: Sequence[float] | Array, lean: float) -> tuple[float, float]:
-    """Lean rate and yaw rate [rad/s] of one sample at a lean [rad], NaN: missing.
+def _yaw_rate(w_y: float, w_z: float, lean: float) -> float:
+    """Yaw rate [rad/s] by two gyroscopes at a lean [rad], as `tms_model.imu.lean_and_yaw_rate`; NaN: missing.
 
-    As `tms_model.imu.lean_and_yaw_rate`; without the gyroscope y the yaw rate is w_z / cos(lean).
+    Without w_y it is w_z / cos(lean).
     """
-    w_x, w_y, w_z = angular_velocity
     if not math.isfinite(lean):
-        lean = math.nan
-    level = w_z / math.cos(lean) if math.isnan(w_y) else w_y * math.sin(lean) + w_z * math.cos(lean)
-    return w_x if math.isfinite(w_x) else math.nan, level if math.isfinite(level) else math.nan
+        return math.nan
+    return w_z / math.cos(lean) if math.isnan(w_y) else w_y * math.sin(lean) + w_z * math.cos(lean)

@@ -31,7 +31,8 @@ def update(kalman: Any, z: Array, h: Array, r: Array, present: Sequence[bool]) -
     makes a matrix of the state where z has one dimension.
     """
     if all(present):
-        kalman.update(z, R=r, H=h)
+        kalman.R = r  # as an argument it costs a test of its type
+        kalman.update(z, H=h)
     elif any(present):
         rows = np.array(present)
         kalman.update(z[rows], R=r[np.ix_(rows, rows)], H=h[rows])
