@@ -27,10 +27,13 @@ def test_example_runs(example: Path, tmp_path: Path) -> None:
     assert not done.stderr
 
 
-def test_readme_commands_in_order(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "commands", [["./tms demo"], pytest.param(COMMANDS, marks=pytest.mark.long)], ids=["demo", "all"]
+)
+def test_readme_commands_in_order(commands: list[str], tmp_path: Path) -> None:
     assert "./tms demo" in COMMANDS
     environment = {key: value for key, value in os.environ.items() if key != "ROS_DOMAIN_ID"}
-    for command in COMMANDS:
+    for command in commands:
         words = shlex.split(command)
         done = subprocess.run(
             [str(ROOT / words[0]), *words[1:]],

@@ -154,11 +154,13 @@ def test_what_noise_does_to_least_squares_is_as_dense_algebra_has_it() -> None:
     np.testing.assert_allclose(own[1], expected[2:4, 2:4], rtol=1e-8)
 
 
-@pytest.mark.parametrize(("kind", "count", "least"), [("0.05", 30, 25), ("0.2", 30, 25), ("shimmy", 12, 9)])
-@pytest.mark.quick_for(kind=["0.2"])
+@pytest.mark.parametrize(
+    ("kind", "count", "least"), [("0.2", 10, 7), ("0.05", 30, 25), ("0.2", 30, 25), ("shimmy", 12, 9)]
+)
+@pytest.mark.quick_for(count=[10])
 def test_a_shared_bias_is_held_by_its_interval(kind: str, count: int, least: int) -> None:
     # 0.93 to 0.97 of many (docs/calibration.md). At 0.95, fewer than 25 of 30 come once in 300, fewer than 9
-    # of 12 once in 400.
+    # of 12 once in 400, fewer than 7 of 10 once in 970.
     rng, held, naive, models = np.random.default_rng(4), 0, 0, set()
     for _ in range(count):
         problem = sharing(windows(kind, rng))
@@ -171,7 +173,7 @@ def test_a_shared_bias_is_held_by_its_interval(kind: str, count: int, least: int
     assert held >= least
     assert models == ({"oscillator"} if kind == "shimmy" else {"ar"})
     if kind != "shimmy":
-        assert naive <= 24
+        assert naive <= 0.8 * count
 
 
 def test_white_noise_is_seldom_taken_for_another() -> None:

@@ -144,6 +144,7 @@ def test_deviation_grows_with_the_square_of_the_motion() -> None:
     assert large.peak_lean / small.peak_lean == pytest.approx(2.0, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_deviation_beyond_the_fall_is_a_result() -> None:
     # At walking speed it falls over in 3 s whatever the push; it can't deviate by 99 % and stay upright.
     (found,) = linearity(load_bicycle("benchmark"), 0.5, (0.99,), duration=3.0)

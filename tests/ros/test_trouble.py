@@ -291,7 +291,7 @@ def waited() -> int:
     return 1000 * int(some.rpartition("total=")[2])
 
 
-@pytest.mark.parametrize("times", [8, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [4, pytest.param(200, marks=pytest.mark.long)])
 def test_killed_at_random_moments_nothing_that_was_in_the_bag_is_missing(
     nodes: Any, participant: Any, tmp_path: Path, times: int
 ) -> None:
