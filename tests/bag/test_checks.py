@@ -311,10 +311,11 @@ def test_a_command_that_is_offered_is_one_that_exists(clean, bag_of):
     assert len(commands) > 6
     program = """
 import json, sys
-from tms_bag.__main__ import _parser as bag
-from tms_fit.__main__ import _parser as fit
+from tms_bag.cli import _parser as bag
+from tms_fit.cli import _parser as fit
+parsers = {"bag": bag(), "fit": fit({})}
 for name, *words in json.load(sys.stdin):
-    {"bag": bag, "fit": fit}[name]().parse_args(words)
+    parsers[name].parse_args(words)
 """
     words = [shlex.split(command.replace("speed=V", "speed=4.5"))[1:] for command in commands]
     done = subprocess.run(
