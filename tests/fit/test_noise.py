@@ -95,22 +95,24 @@ def test_places_on_a_grid() -> None:
     np.testing.assert_array_equal(grid_places(np.array([0.0, 0.1, 0.101, 0.102, 0.5])), [0, 1, 2, 3, 4])
 
 
-@pytest.mark.parametrize("kind", ["tau 0.05 s", "tau 0.2 s", "shimmy"])
-@pytest.mark.quick_for(kind=["tau 0.2 s"])
-def test_intervals_hold_under_coloured_noise(kind: str) -> None:
-    # 80 runs each: 0.95 +- 0.024; the naive interval holds in about 0.5, 0.3 and (too wide) 1.0 of them.
+@pytest.mark.parametrize(
+    ("kind", "count"), [("tau 0.2 s", 20), ("tau 0.05 s", 80), ("tau 0.2 s", 80), ("shimmy", 80)]
+)
+@pytest.mark.quick_for(count=[20])
+def test_intervals_hold_under_coloured_noise(kind: str, count: int) -> None:
+    # Of 80 runs each: 0.95 +- 0.024; the naive interval holds in about 0.5, 0.3 and (too wide) 1.0 of them.
     rng, window = np.random.default_rng(7), clean_window()
     held, naive, swinging = 0, 0, 0
-    for _ in range(80):
+    for _ in range(count):
         noise = shaking(rng, 150) if kind == "shimmy" else colored_noise(rng, 150, float(kind.split()[1]))
         answers = [fit_window(plus(window, noise), Settings(noise=name)) for name in ("auto", "white")]
         inside = [one.ci95[0, 0] <= 0.5 <= one.ci95[0, 1] for one in answers]
         held, naive = held + inside[0], naive + inside[1]
         assert answers[0].noise_model in ({"ar", "oscillator"} if kind == "shimmy" else {"ar"})
         swinging += answers[0].noise_model == "oscillator"
-    assert 0.88 <= held / 80 <= 1.0
-    assert swinging >= 60 if kind == "shimmy" else swinging == 0
-    assert naive / 80 > 0.985 if kind == "shimmy" else naive / 80 < 0.7
+    assert 0.88 <= held / count <= 1.0
+    assert swinging >= 0.75 * count if kind == "shimmy" else swinging == 0
+    assert naive / count > 0.985 if kind == "shimmy" else naive / count < 0.7
 
 
 def test_white_noise_stays_white() -> None:
