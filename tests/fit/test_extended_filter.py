@@ -184,12 +184,13 @@ def parameter_errors(run: Any, last: FilterStep) -> tuple[np.ndarray, np.ndarray
     return error, np.sqrt(np.diag(last.parameter_covariance)[2:])
 
 
-def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_run: Any) -> None:
+@pytest.mark.parametrize("count", [4, pytest.param(10, marks=pytest.mark.long)])
+def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_run: Any, count: int) -> None:
     # Stated 10 % too fast or too slow. Nothing disturbs a simulated bicycle, so that the filter, which allows
     # for disturbances, is rather too careful: the mean square of its scaled errors is at most what 20 squared
-    # standard normals reach with 97.5 % probability, 1.71.
+    # standard normals of 10 runs reach with 97.5 % probability, 1.71.
     scaled = []
-    for seed in range(10):
+    for seed in range(count):
         run = coasting_run(make_run, seed)
         _, steps = followed(run, 4.6 * (1.1 if seed % 2 else 0.9), with_speed=False)
         error, std = parameter_errors(run, steps[-1])
