@@ -164,7 +164,7 @@ def fit(
     >>> from tms_model import linear_system, load_bicycle, response, yaw_rate
     >>> bicycle, after = load_bicycle("tms_eq_10_1"), np.arange(300) / 100.0
     >>> system = linear_system(bicycle, 4.6)
-    >>> state = response(system, [0.0, 0.0, 0.4, 0.0], after)  # struck to 0.4 rad/s
+    >>> state = response(system, np.array([0.0, 0.0, 0.4, 0.0]), after)  # struck to 0.4 rad/s
     >>> rates = np.random.default_rng(1).normal(0.0, 0.005, (500, 3))
     >>> rates[200:, 0] += state[:, 2]
     >>> rates[200:, 2] -= yaw_rate(system, state)  # yaw to the left is positive in REP-103 axes

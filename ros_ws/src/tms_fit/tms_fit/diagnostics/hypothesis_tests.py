@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc, stdtr
 from tms_model import Bicycle
 
 from tms_fit.diagnostics.residual_tests import SIGNIFICANCE_LEVEL, probability
@@ -89,7 +89,7 @@ def _no_slip(window: Window, settings: Settings, narrow: Estimate) -> Hypothesis
     if rest.noise_model != "white":
         own, more = _white_squares(window, narrow, late, rest)
     statistic = more / count / (own / rest.degrees_of_freedom)
-    p = float(stats.f.sf(statistic, count, max(rest.degrees_of_freedom, 1)))
+    p = float(fdtrc(count, max(rest.degrees_of_freedom, 1), statistic))
     said = f"the first {SLIP:g} s are off the rest by {size:.3f} rad/s"
     sentence = (
         f"no slip at the strike is rejected ({probability(p)}); {said}"
@@ -257,7 +257,7 @@ def _hypothesis_test(
 ) -> HypothesisTest:
     name, value, std, assumed = found
     statistic = (value - assumed) / std
-    p = 2.0 * float(stats.t.sf(abs(statistic), max(wide.degrees_of_freedom, 1)))
+    p = 2.0 * float(stdtr(max(wide.degrees_of_freedom, 1), -abs(statistic)))
     sentence = (
         f"{hypothesis} is rejected ({probability(p)}); {alternative} is not"
         if p < SIGNIFICANCE_LEVEL
