@@ -155,6 +155,7 @@ def main() -> int:
     options.runs = options.runs.resolve()
     counts: Counter[str] = Counter()
     slow: list[tuple[float, str]] = []
+    added: set[str] = set()
     unrecorded = {name for name in cases() if not path_of(name, options).exists()}
     counts["not recorded"] = len([name for name in unrecorded if chosen(name, options)])
     for name, new, seconds in answers(options, unrecorded):
@@ -165,7 +166,10 @@ def main() -> int:
         counts["differ" if found.differences else "same"] += 1
         counts["with changed texts"] += bool(found.texts)
         counts["with added keys"] += bool(found.added)
+        added |= {re.sub(r"\[.*?\]", "[]", path) for path in found.added}
         _show(name, found, options, old, new)
+    if added:
+        print("\nadded keys:", *sorted(added)[: 5 * options.show])
     print(
         ", ".join(f"{count} {state}" for state, count in counts.items()),
         "| slowest:",
@@ -175,12 +179,10 @@ def main() -> int:
 
 
 def _show(name: str, found: Comparison, options: argparse.Namespace, old: Any, new: Any) -> None:
-    if found.differences or found.added or (found.texts and options.texts):
+    if found.differences or (found.texts and options.texts):
         print(f"\n{name}: {len(found.differences)} differences (largest {found.largest:.3g} tolerances), {len(found.texts)} texts,"
               f" {len(found.added)} added")  # fmt: skip
-        lines = found.differences[: options.show] + [f"added: {', '.join(found.added[:5])}"] * bool(
-            found.added
-        )
+        lines = found.differences[: options.show]
         if found.differences and old.get("exit") != new.get("exit"):
             lines.append(new.get("errors", "")[-600:])
         print(
