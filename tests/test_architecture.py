@@ -166,6 +166,28 @@ def test_no_import_runs_back_up(package: str) -> None:
             pytest.fail(f"{'.'.join(folder)}: {' <- '.join(error.args[1])}")
 
 
+@pytest.mark.parametrize(
+    "files",
+    [
+        {"one.py": "from tms_fit.two import b", "two.py": "def b() -> None:\n    import tms_fit.one\n"},
+        {"a/one.py": "from tms_fit.b import two", "b/two.py": "", "b/three.py": "from ..a.one import x"},
+        {"a/one.py": "from tms_fit import two", "two.py": "from tms_fit import a", "a/__init__.py": ""},
+    ],
+    ids=["modules", "folders", "module and folder"],
+)
+def test_an_import_that_runs_back_up_is_found(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    modules = [tmp_path / "tms_fit" / "tms_fit" / name for name in files]
+    for module, text in zip(modules, files.values(), strict=True):
+        module.parent.mkdir(parents=True, exist_ok=True)
+        module.write_text(text)
+    monkeypatch.setitem(globals(), "SOURCES", tmp_path)
+    monkeypatch.setitem(globals(), "MODULES", modules)
+    with pytest.raises(pytest.fail.Exception, match="tms_fit: "):
+        test_no_import_runs_back_up("tms_fit")
+
+
 def test_only_nodes_know_ros() -> None:
     def ros(path: Path) -> list[str]:
         return [m for m in imported(path) if "nodes" not in path.parts and (is_ros(m) or ".nodes" in m)]

@@ -109,7 +109,7 @@ def test_marks_without_samples_are_forgotten() -> None:
     for stamp in (2, WAITING_FLAGS_LIMIT + 2):
         aligned.add_imu(stamp, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
     first, last = aligned.ready(finished=True)
-    assert (first.flags, last.flags) == (0, X)
+    assert (first.flagged, last.flagged) == ((False, False, False), (True, False, False))
 
 
 def test_what_a_tilted_sensor_loses() -> None:

@@ -144,7 +144,7 @@ def _budget_lines(budget: Budget) -> list[str]:
     model = (
         f"{budget.model:.5f}"
         if math.isfinite(budget.model)
-        else "unknown: nobody states how sure the bicycle is"
+        else "unknown: the bicycle file states no parameter uncertainties"
     )
     lines = [
         f"error budget of the initial lean rate {budget.value:+.5f} rad/s: statistical"
