@@ -193,7 +193,10 @@ def test_the_command_line_tells_how_strikes_differ(command: Any) -> None:
         (("together", BAGS[0], "--near", "900"), "expected a strike within 0.3 s of 900 s"),
         (("together", BAGS[0], "--share", "speed_of_light"), "share: unknown 'speed_of_light'"),
         (("together", BAGS[0], "--share", "strike_time"), "share: unknown 'strike_time'"),
-        (("together", BAGS[0], "--fix", "steer_coulomb_friction=0.1"), "expected in fit run only"),
+        pytest.param(
+            *(("together", BAGS[0], "--fix", "steer_coulomb_friction=0.1"), "expected in fit run only"),
+            marks=pytest.mark.long,
+        ),
         (("together", BAGS[0], "--prior", "trail=0.1,0.01"), "trail: expected a free parameter; add it to"),
         (("together", BAGS[0], "--prior", "speed=3,0"), "NAME=MEAN,STD"),
         (("together", BAGS[0], "--noise", "pink"), "invalid choice: 'pink'"),

@@ -240,7 +240,8 @@ def test_a_slip_at_the_start_is_seen() -> None:
     assert slip.value == pytest.approx(0.3 * math.sqrt(0.05 / 2.0 / 0.4), rel=0.5)  # its mean square by hand
 
 
-def test_coloured_noise_is_no_slip() -> None:
+@pytest.mark.parametrize("runs", [5, pytest.param(20, marks=pytest.mark.long)])
+def test_coloured_noise_is_no_slip(runs: int) -> None:
     # 20 runs with noise correlated over 0.2 s: at 1e-3 none is expected, 2 come once in 5000. By residuals
     # that are not made white 4 of these were rejected.
     kept, rng = math.exp(-0.01 / 0.2), np.random.default_rng(5)
@@ -249,7 +250,7 @@ def test_coloured_noise_is_no_slip() -> None:
         noise[:, k] = kept * noise[:, k - 1] + math.sqrt(1.0 - kept**2) * noise[:, k]
     quiet = made(0, noise=0.0)
     rejected = 0
-    for one in 0.02 * noise:
+    for one in 0.02 * noise[:runs]:
         window = replace(
             quiet,
             speed=constant_speed(3.6),

@@ -61,7 +61,7 @@ def strikes(command: Any, run: dict[str, Any]) -> Any:
         ("initial_lean_rate,initial_steer_rate,lean_rate_bias", "with_steer_rate"),
     ],
 )
-@pytest.mark.quick_for(run=PUBLISHED["runs"][:1], key=["lean_rate_only"])
+@pytest.mark.long
 def test_pushes_are_found_and_the_model_explains_them(
     strikes: Any, run: dict[str, Any], free: str, key: str
 ) -> None:

@@ -173,9 +173,12 @@ def test_interval_holds_the_measured_speeds_uncertainty(strike: StrikeFit) -> No
     assert with_it.std[index] > 1.05 * without.std[index]
 
 
-def test_intervals_hold_where_a_constant_speed_would_not(make_run: Any, fit_run: Any) -> None:
+@pytest.mark.parametrize("seeds", [(1,), pytest.param((1, 4, 7), marks=pytest.mark.long)])
+def test_intervals_hold_where_a_constant_speed_would_not(
+    make_run: Any, fit_run: Any, seeds: tuple[int, ...]
+) -> None:
     missed = 0
-    for seed in (1, 4, 7):
+    for seed in seeds:
         run = make_run("gym_run", seed=seed, **CAMERA)
         truth = float(run.trajectory.at(np.array([4.005])).lean_rate[0])
         (found,) = fit_run(run, estimators=("least_squares",))
@@ -188,7 +191,7 @@ def test_intervals_hold_where_a_constant_speed_would_not(make_run: Any, fit_run:
         assert abs(near) < 0.5 * abs(far)
         index = constant.estimates[0].names.index("initial_lean_rate")
         missed += bool(constant.estimates[0].ci95[index, 0] > truth)
-    assert missed >= 2
+    assert missed >= 2 * len(seeds) / 3
 
 
 def test_where_the_fit_is_told_what_is_free_the_interval_still_knows(

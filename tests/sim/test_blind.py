@@ -146,7 +146,7 @@ SHORT: dict[str, Any] = {"duration": 2.0, "strike.time": 1.0}
 # its name; 3: after that.
 @pytest.mark.parametrize("steps", range(4))
 @pytest.mark.parametrize("replacing", [(), ("--blind",)], ids=["by a run with its truth", "by a blind run"])
-@pytest.mark.quick_for(steps=[1, 2])
+@pytest.mark.quick_for(steps=[2])
 def test_a_kill_at_any_time_leaves_no_blind_bag_without_its_truth(
     steps: int, replacing: tuple[str, ...], command: Any, tmp_path: Path
 ) -> None:
