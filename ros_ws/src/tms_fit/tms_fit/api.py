@@ -17,7 +17,6 @@ from tms_fit import recording_fit
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.least_squares.intervals import with_intervals
-from tms_fit.output import to_json, to_table
 from tms_fit.recording_fit import Progress, RecordingFit
 from tms_fit.settings import OPTIONS, Settings
 from tms_fit.strike_fit import StrikeFit
@@ -51,6 +50,8 @@ class FitResult(RecordingFit, Sequence[StrikeFit]):
         return f"<FitResult of {self.recording.path}, bicycle {self.bicycle.name}: [{strikes}]>"
 
     def __str__(self) -> str:
+        from tms_fit.output import to_table
+
         return to_table(self)
 
     def to_dict(self, hypotheses: bool = False, budget: bool = False) -> dict[str, Any]:
@@ -58,6 +59,8 @@ class FitResult(RecordingFit, Sequence[StrikeFit]):
 
         hypotheses, budget: with the tests of rival explanations, with the error budget of each strike.
         """
+        from tms_fit.output import to_json
+
         asked = [name for name, wanted in (("hypotheses", hypotheses), ("budget", budget)) if wanted]
         document: dict[str, Any] = finite(to_json(self, asked))
         return document

@@ -9,7 +9,6 @@ from enum import Enum
 from typing import SupportsIndex, overload
 
 import numpy as np
-from scipy.special import stdtrit
 from tms_model.bicycle import Array
 
 from tms_fit.parameters import UNITS, shaping
@@ -151,6 +150,8 @@ class Estimate:
     @property
     def quantile(self) -> float:
         """Half of a 95 % interval per standard error: Student's t."""
+        from scipy.special import stdtrit  # here, since its import takes as long as numpy's
+
         return float(stdtrit(max(self.degrees_of_freedom, 1), 0.975))
 
     @property

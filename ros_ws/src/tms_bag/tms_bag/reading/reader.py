@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from tms_bag.reading.advance import in_advance
 from tms_bag.reading.bag_files import files_of
 from tms_bag.reading.block import Block, within
 from tms_bag.reading.columns import Collector, Columns
-from tms_bag.reading.db3_source import Db3Source
 from tms_bag.reading.definitions import fields_of
 from tms_bag.reading.frames import DAMAGE
 from tms_bag.reading.index import FileIndex, Span
@@ -27,6 +26,9 @@ from tms_bag.reading.mcap_source import McapSource
 from tms_bag.reading.packed_file import kind_of
 from tms_bag.reading.packed_messages import with_messages_unpacked
 from tms_bag.record import Record
+
+if TYPE_CHECKING:
+    from tms_bag.reading.db3_source import Db3Source
 
 MOST_HELD = 2**28  # [bytes] of parts whose times overlap; each is held until its last message is due
 PART = 4096  # messages that are decoded together in `parts`
@@ -301,6 +303,8 @@ class BagReader:
 
 def _opened(path: Path, salvage: bool, alone: bool) -> McapSource | Db3Source:
     if kind_of(path) == ".db3":
+        from tms_bag.reading.db3_source import Db3Source  # here, since it loads the reader of rosbags
+
         return Db3Source(path)
     return McapSource(path, salvage, may_be_empty=salvage and not alone)  # the others may hold something
 

@@ -11,7 +11,6 @@ Rubin, J. Royal Statistical Society B 39 (1977), doi 10.1111/j.2517-6161.1977.tb
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import log_ndtr
 from tms_model.bicycle import Array
 
 
@@ -40,11 +39,15 @@ def information(limit: Array, sign: Array, predicted: Array, std: float) -> Arra
 
 def log_probability(limit: Array, sign: Array, predicted: Array, std: float) -> Array:
     """Logarithm of the probability (m,) of a rate beyond its limit."""
+    from scipy.special import log_ndtr
+
     probability: Array = log_ndtr(-sign * (limit - predicted) / std)
     return probability
 
 
 def _hazard(z: Array) -> Array:
     """Density of the standard normal distribution at z per probability above it."""
+    from scipy.special import log_ndtr
+
     hazard: Array = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-z))
     return hazard

@@ -21,7 +21,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
@@ -143,6 +142,8 @@ def _end(t: Callable[[float], float], value: float, std: float, quantile: float)
         if not math.isfinite(reached):
             break
         if reached >= quantile:
+            from scipy.optimize import brentq
+
             return float(brentq(lambda held: abs(t(held)) - quantile, last, now, xtol=1e-6 * abs(std)))
         last = now
     return math.copysign(math.inf, std)
