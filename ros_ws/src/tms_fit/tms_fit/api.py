@@ -169,8 +169,8 @@ def fit(
     >>> system = linear_system(bicycle, 4.6)
     >>> state = response(system, np.array([0.0, 0.0, 0.4, 0.0]), after)  # struck to 0.4 rad/s
     >>> rates = np.random.default_rng(1).normal(0.0, 0.005, (500, 3))
-    >>> rates[200:, 0] += state[:, 2]
-    >>> rates[200:, 2] -= yaw_rate(system, state)  # yaw to the left is positive in REP-103 axes
+    >>> lean, yaw = state[:, 0], -yaw_rate(system, state)  # yaw to the left is positive in REP-103 axes
+    >>> rates[200:] += np.stack([state[:, 2], yaw * np.sin(lean), yaw * np.cos(lean)], axis=1)
     >>> result = fit(np.arange(500) / 100.0, rates, speed=4.6, bicycle=bicycle)
     >>> len(result), abs(result[0]["initial_lean_rate"].value - 0.4) < 0.02
     (1, True)
