@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from tms_fit.estimators import kalman_rts
-from tms_fit.least_squares.varpro import Problem, Solution, solve
+from tms_fit.least_squares.problem import Problem, ProblemSolution, solve
 from tms_fit.response.prediction import predictor
 from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
@@ -30,7 +30,7 @@ def free_response(speed: float, channels: tuple[str, ...] = ("lean_rate", "yaw_r
     return Window(0, time, **columns, bicycle=BICYCLE, speed=constant_speed(speed))
 
 
-def solved(window: Window, free: tuple[str, ...]) -> Solution:
+def solved(window: Window, free: tuple[str, ...]) -> ProblemSolution:
     """Least squares for unit noise."""
     good = np.isfinite(window.measured)
     linear = tuple(name for name in free if name != "speed")

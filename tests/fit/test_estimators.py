@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, expm
 from tms_fit.estimate import Estimate
 from tms_fit.estimators import ESTIMATORS, kalman_rts, least_squares
 from tms_fit.least_squares.make_estimate import variance_accounted_for
-from tms_fit.least_squares.varpro import Problem
+from tms_fit.least_squares.problem import Problem
 from tms_fit.parameters import BIASES, DEFAULT_FREE, INITIAL
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed

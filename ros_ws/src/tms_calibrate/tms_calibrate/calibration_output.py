@@ -101,7 +101,7 @@ def calibration_json(
     repeated = calibration.repeated
     return {
         "bicycle": calibration.bicycle.name,
-        "status": calibration.solution.status,
+        "status": calibration.solution.status.value,
         "message": calibration.solution.message,
         "parameters": {
             name: {

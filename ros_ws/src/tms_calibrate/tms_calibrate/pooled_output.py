@@ -23,7 +23,7 @@ def together_json(fit: PooledFit, recordings: Sequence[RecordingFit]) -> dict[st
     return {
         "bags": [str(one.recording.path) for one in recordings],
         "bicycles": list(dict.fromkeys(one.bicycle.name for one in recordings)),
-        "status": fit.solution.status,
+        "status": fit.solution.status.value,
         "message": fit.solution.message,
         "shared": _intervals(problem.shared, fit.solution.shared, fit.shared_covariance, fit.quantile),
         "strikes": [_strike(fit, k) for k in range(len(fit.strikes))] if found else [],
@@ -69,7 +69,7 @@ def _intervals(names: Sequence[str], values: Array, covariance: Array, quantile:
 
 def together_table(fit: PooledFit) -> str:
     """Shared values, own initial lean rates, and a line per parameter of how the strikes differ."""
-    lines = [f"{len(fit.strikes)} strikes in one fit: {fit.solution.message or fit.solution.status}"]
+    lines = [f"{len(fit.strikes)} strikes in one fit: {fit.solution.message or fit.solution.status.value}"]
     lines += [f"left out: strike {one.index} of {one.recording}: {one.alone.message}" for one in fit.left_out]
     if fit.solution.arrow is None:
         return "\n".join(lines)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from tms_fit.least_squares.block_arrowhead import BlockArrowheadSolution
-from tms_fit.least_squares.varpro import Rows
+from tms_fit.least_squares.problem import Whitener
+from tms_fit.least_squares.varpro import Status
 from tms_fit.window import Window
 from tms_model.bicycle import Array
 from tms_model.changes import MATRIX_ENTRIES
@@ -32,7 +33,7 @@ class Run:
     window: Window
     linear: tuple[str, ...]  # of LINEAR
     nonlinear: tuple[str, ...] = ()  # such as speed
-    rows: Rows | None = None  # samples (n, 2, ...) as rows (m, ...) of white noise; None: each by itself
+    rows: Whitener | None = None  # samples (n, 2, ...) as rows (m, ...) of white noise; None: each by itself
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,7 +41,7 @@ class Run:
         return (*self.linear, *self.nonlinear)
 
     def select(self, values: Array) -> Array:
-        """Rows (m, ...) of values (n, 2, ...), those that were measured."""
+        """Whitener (m, ...) of values (n, 2, ...), those that were measured."""
         good = np.isfinite(self.window.measured)
         return values[good] if self.rows is None else self.rows(values)
 
@@ -73,7 +74,7 @@ class PooledProblem:
         return self.count + sum(name in self.priors for name in unknowns) - len(unknowns)
 
     def prior_rows(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Rows (k, p) that priors add for unknowns (p,), and how far (k,) the values are from them."""
+        """Whitener (k, p) that priors add for unknowns (p,), and how far (k,) the values are from them."""
         held = [name for name in names if name in self.priors]
         rows, off = np.zeros((len(held), len(names))), np.zeros(len(held))
         for row, name in enumerate(held):
@@ -88,7 +89,7 @@ class PooledSolution:
     """What was found. Values are empty when the status is not_observable."""
 
     problem: PooledProblem
-    status: str  # ok, not_converged, not_observable
+    status: Status
     message: str
     shared: Array = field(default_factory=lambda: np.empty(0))  # (s,)
     own: tuple[Array, ...] = ()  # (q,) of each run: linear, then nonlinear

@@ -20,7 +20,7 @@ from tms_fit.kalman.state_space import STATES, StateSpace
 from tms_fit.kalman.transition_cache import TransitionCache
 from tms_fit.least_squares.make_estimate import in_order, variance_accounted_for
 from tms_fit.least_squares.model_selection import ModelSpec, choose
-from tms_fit.least_squares.varpro import Problem
+from tms_fit.least_squares.problem import Problem
 from tms_fit.parameters import BIASES, FRICTION, INITIAL, SLIP, shaping
 from tms_fit.response.discretization import Transitions, as_ridden, discretize, known_values
 from tms_fit.response.prediction import predictor

@@ -28,7 +28,7 @@ from tms_fit.least_squares.irls import Fitted, fit_problem
 from tms_fit.least_squares.losses import Loss
 from tms_fit.least_squares.model_selection import choose
 from tms_fit.least_squares.nuisance import nuisance_covariance
-from tms_fit.least_squares.varpro import Problem, solve
+from tms_fit.least_squares.problem import Problem, solve
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 

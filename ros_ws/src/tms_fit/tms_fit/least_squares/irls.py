@@ -11,7 +11,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.least_squares import censoring
 from tms_fit.least_squares.losses import Loss, outlier_count, scale
-from tms_fit.least_squares.varpro import Problem, Rows, Solution, solve
+from tms_fit.least_squares.problem import Problem, ProblemSolution, Whitener, solve
 from tms_fit.noise import NOISES, Noise, oscillator
 from tms_fit.noise.ar import is_autocorrelated
 from tms_fit.noise.colored import ColoredNoise
@@ -30,7 +30,7 @@ SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the ro
 class Fitted:
     """A solution with the noise under which it is one."""
 
-    solution: Solution  # its inverse is the covariance
+    solution: ProblemSolution  # its inverse is the covariance
     noise: Noise
     noise_model: str  # of NOISES
     loss: str  # of LOSSES, not auto
@@ -80,14 +80,14 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
     return Fitted(solution, noise, known, loss.name, outliers)
 
 
-def _plain(problem: Problem, noise_model: str) -> Solution:
+def _plain(problem: Problem, noise_model: str) -> ProblemSolution:
     """Least squares. Where its residuals decide about the noise, priors have their weight in it."""
     if noise_model == "auto" and problem.priors:
         return fit_problem(problem, "white", Loss("squares")).solution
     return solve(problem, _first_rows(problem))
 
 
-def _judged(problem: Problem, solution: Solution) -> bool:
+def _judged(problem: Problem, solution: ProblemSolution) -> bool:
     """Whether residuals are more than rounding, so that they say something about the noise."""
     if solution.status == "not_observable":
         return False
@@ -108,7 +108,7 @@ def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | Non
     return not problem.priors if noise_model == "white" else not problem.nonlinear
 
 
-def _first_rows(problem: Problem) -> Rows:
+def _first_rows(problem: Problem) -> Whitener:
     good = np.isfinite(problem.window.measured)
     return lambda values: values[good]
 
@@ -133,14 +133,14 @@ def _noise(
     return noise
 
 
-def _weighted(rows: Rows, loss: Loss, residual: Array) -> Rows:
+def _weighted(rows: Whitener, loss: Loss, residual: Array) -> Whitener:
     """The rows, each by the root of the weight that its residual has."""
     if loss.name == "squares":
         return rows
     return _weighted_by(np.sqrt(loss.weights(rows(residual))), rows)
 
 
-def _weighted_by(root: Array, rows: Rows) -> Rows:
+def _weighted_by(root: Array, rows: Whitener) -> Whitener:
     return lambda values: _times(root, rows(values))
 
 
@@ -149,8 +149,8 @@ def _times(factor: Array, rows: Array) -> Array:
 
 
 def _with_covariance(
-    problem: Problem, solution: Solution, noise: Noise, loss: Loss, limits: _Limits | None
-) -> Solution:
+    problem: Problem, solution: ProblemSolution, noise: Noise, loss: Loss, limits: _Limits | None
+) -> ProblemSolution:
     """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
     residual = problem.window.measured - problem.predicted(solution.values)
     if isinstance(noise, ColoredNoise) and loss.name == "squares":
@@ -167,7 +167,9 @@ def _with_covariance(
     return replace(plain, covariance=loss.inflation(noise.rows(residual), len(problem.names)) * plain.of_rows)
 
 
-def _averaged(problem: Problem, solution: Solution, noise: ColoredNoise, residual: Array) -> Solution:
+def _averaged(
+    problem: Problem, solution: ProblemSolution, noise: ColoredNoise, residual: Array
+) -> ProblemSolution:
     """Parameters and covariance averaged over what coloured noise may be."""
     count = len(noise.rows(residual))  # the priors' rows come last
     prior = solution.jacobian[count:], solution.rows[count:]
@@ -192,7 +194,7 @@ def _likelier(
     return min(rivals.items(), key=lambda one: bic(one[1]))
 
 
-def _fitted(problem: Problem, solution: Solution) -> Array:
+def _fitted(problem: Problem, solution: ProblemSolution) -> Array:
     """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
     values = problem.values(solution.values)
     start = by_start(problem.window, values, values)
@@ -211,7 +213,7 @@ def by_start(window: Window, told: Collection[str], values: Mapping[str, float])
     return derivative(window, shaping(values), "strike_time").predict(values)
 
 
-def _same(before: Solution, after: Solution) -> bool:
+def _same(before: ProblemSolution, after: ProblemSolution) -> bool:
     """Whether two solutions are one, as far as anybody can tell."""
     if "not_observable" in (before.status, after.status):
         return True
@@ -230,7 +232,7 @@ class _Limits:
     def _at(self, function: Callable[..., Array], predicted: Array, std: float) -> Array:
         return function(self.limit, self.sign, predicted[self.rows], std)
 
-    def replaced(self, problem: Problem, solution: Solution, noise: Noise) -> Problem:
+    def replaced(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Problem:
         """The problem with each saturated sample at its working value."""
         assert isinstance(noise, White)
         window = problem.window
@@ -256,7 +258,7 @@ class _Limits:
                 break
         return std
 
-    def information(self, problem: Problem, solution: Solution, noise: Noise) -> Array:
+    def information(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Array:
         """Share (m,) of its information that each sample of the rows keeps."""
         assert isinstance(noise, White)
         share = np.ones(self.rows.shape)

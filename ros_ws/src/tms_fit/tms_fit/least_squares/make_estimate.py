@@ -13,7 +13,7 @@ from tms_fit.least_squares.censoring import log_probability
 from tms_fit.least_squares.irls import Fitted
 from tms_fit.least_squares.model_selection import ModelSpec
 from tms_fit.least_squares.nuisance import nuisance_covariance
-from tms_fit.least_squares.varpro import Problem, Solution
+from tms_fit.least_squares.problem import Problem, ProblemSolution
 from tms_fit.noise import Noise
 from tms_fit.noise.white import White
 from tms_fit.parameters import CHANNELS, shaping
@@ -34,7 +34,7 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
     """
     problem, solution, noise = choice.problem, fitted.solution, fitted.noise
     if solution.status == "not_observable":
-        return Estimate(name, Status(solution.status), solution.message, settings=settings)
+        return Estimate(name, Status(solution.status.value), solution.message, settings=settings)
     covariance = solution.inverse
     if not (np.isfinite(solution.values).all() and (np.diag(covariance) > 0.0).all()):
         text = "the solution lost its precision; free fewer parameters"
@@ -52,7 +52,7 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
     text = _in_words(choice, fitted, settings, autocorrelation)
     return Estimate(
         estimator=name,
-        status=Status(solution.status),
+        status=Status(solution.status.value),
         message=text if solution.status == "ok" else f"{text}; {solution.message}",
         names=problem.names,
         values=solution.values,
@@ -156,7 +156,7 @@ def _censored_log_likelihood(std: float, window: Window, predicted: Array) -> fl
     return float(np.sum(-0.5 * u**2 - 0.5 * math.log(2.0 * math.pi) - math.log(std)) + np.sum(beyond))
 
 
-def _known(problem: Problem, solution: Solution) -> dict[str, float]:
+def _known(problem: Problem, solution: ProblemSolution) -> dict[str, float]:
     """Values of the window that the prediction used and that were not free."""
     known, values = known_values(problem.window), shaping(problem.values(solution.values))
     start = values.get("strike_time", known["strike_time"])

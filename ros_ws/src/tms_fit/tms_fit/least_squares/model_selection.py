@@ -9,7 +9,7 @@ import numpy as np
 from tms_model.acceleration import coasting_loss
 
 from tms_fit.estimate import Estimate
-from tms_fit.least_squares.varpro import Problem
+from tms_fit.least_squares.problem import Problem
 from tms_fit.parameters import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import SPEED_STALE_AFTER_S, constant_speed

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from tms_model.bicycle import Array
 
-from tms_fit.least_squares.varpro import Problem, Rows, Solution
+from tms_fit.least_squares.problem import Problem, ProblemSolution, Whitener
 from tms_fit.parameters import shaping
 from tms_fit.response.prediction import Predictor, derivative, predictor
 from tms_fit.window import Window
@@ -22,7 +22,9 @@ from tms_fit.window import Window
 CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]
 
 
-def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows, white: float = 0.0) -> Array:
+def nuisance_covariance(
+    problem: Problem, solution: ProblemSolution, rows: Whitener, white: float = 0.0
+) -> Array:
     """What uncertain known quantities add to the covariance (p, p) of a solution.
 
     white [rad/s]: deviation of the noise, where it is white; only then is it known how the gain's error goes
@@ -37,7 +39,7 @@ def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows, white:
         shift = _shift(problem, solution, rows, derivative(window, nonlinear, name))
         variance = std**2
         if name == "lean_rate_gain" and white and window.gain_by_lean_rate is not None:
-            # Rows are in units of the noise.
+            # Whitener are in units of the noise.
             along = white**2 * rows(np.stack([window.gain_by_lean_rate, np.zeros(len(window.time))], axis=1))
             shared = solution.of_rows @ solution.jacobian[: len(along)].T @ along
             added += np.outer(shift, shared) + np.outer(shared, shift)
@@ -52,7 +54,7 @@ def nuisance_covariance(problem: Problem, solution: Solution, rows: Rows, white:
     return added
 
 
-def _by_curve(problem: Problem, solution: Solution) -> Iterator[tuple[int, Predictor]]:
+def _by_curve(problem: Problem, solution: ProblemSolution) -> Iterator[tuple[int, Predictor]]:
     """Changes of the predictor by those coefficients of the speed curve that matter."""
     window, names = problem.window, {*problem.names, *problem.known}
     if not window.speed.covariance.any():
@@ -75,7 +77,7 @@ def _moved(window: Window, power: int, change: float) -> Window:
     return replace(window, speed=replace(window.speed, coefficients=coefficients))
 
 
-def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) -> Array:
+def _shift(problem: Problem, solution: ProblemSolution, rows: Whitener, change: Predictor) -> Array:
     """Derivative (p,) of the solution by a quantity that changes the predictor like this."""
     direct = rows(change.predict(problem.values(solution.values)))
     jacobian = solution.jacobian[: len(direct)]
@@ -86,5 +88,5 @@ def _shift(problem: Problem, solution: Solution, rows: Rows, change: Predictor) 
     return shift
 
 
-def _nonlinear(problem: Problem, solution: Solution) -> dict[str, float]:
+def _nonlinear(problem: Problem, solution: ProblemSolution) -> dict[str, float]:
     return shaping(problem.values(solution.values))

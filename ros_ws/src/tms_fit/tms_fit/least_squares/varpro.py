@@ -1,8 +1,11 @@
-"""Nonlinear least squares by variable projection: linear parameters are solved for inside.
+"""Variable projection: separable nonlinear least squares in residual blocks.
 
-For each set of nonlinear parameters the best linear ones are known at once. What remains is a small problem,
-solved by Gauss-Newton steps damped after Levenberg and Marquardt; the step comes from the joint Jacobian of
-all parameters, which is Kaufman's form of variable projection.
+    minimise  sum_i | t_i(x_i, y) - O_i(x_i, y) a_i - S_i(x_i, y) b |^2 + priors
+
+Block i has linear unknowns a_i and nonlinear unknowns x_i of its own; b and y are linear and nonlinear
+unknowns shared by all blocks. At given x_i and y the best a_i and b follow by block-arrowhead least squares.
+`scipy.optimize.least_squares` minimises over x_i and y, with Kaufman's form of the Jacobian of the projected
+residual. Without nonlinear unknowns the problem is solved in one step. A fit of one run is one block.
 
 References: G. H. Golub and V. Pereyra, SIAM J. Numer. Anal. 10 (1973), doi 10.1137/0710036; L. Kaufman, BIT
 15 (1975), doi 10.1007/BF01932995.
@@ -11,332 +14,314 @@ References: G. H. Golub and V. Pereyra, SIAM J. Numer. Anal. 10 (1973), doi 10.1
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from tms_model import ParameterError
-from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
-from tms_fit.parameters import FRICTION, LINEAR, shaping
-from tms_fit.response.discretization import known_values
-from tms_fit.response.prediction import Predictor, derivative, predictor
-from tms_fit.window import Window
+from tms_fit.least_squares.block_arrowhead import (
+    SMALLEST_SINGULAR_VALUE,
+    Block,
+    BlockArrowhead,
+    BlockArrowheadSolution,
+    factorize,
+    solve_block_arrowhead,
+)
 
-Rows = Callable[[Array], Array]  # values of both channels (n, 2, ...) -> rows (m, ...) of unit variance
+MAX_EVALUATIONS = 50  # of the residuals
+TOLERANCE = 1e-6  # last step, in standard errors
+ROUNDING = 1e-11  # of a nonlinear value, below which a step has no true digits
+FIRST_STEP = 1e4  # standard errors that the first step may take
+GRADIENT_ROUNDING = 1e-15  # gradient of a problem scaled to standard errors that counts as zero
 
-STEPS = 50  # at most, of Gauss and Newton
-SETTLED = 1e-6  # last step, in standard errors
-RUBBED = 1e-2  # the same with friction, whose kinks no derivative follows
-GAIN = "lean_rate_gain"
-GAINS = (
-    -4.0,
-    -2.0,
-    -1.0,
-    -0.5,
-    0.5,
-    1.0,
-    2.0,
-    4.0,
-    8.0,
-)  # per torque that a rate of 1 rad/s makes without one
-LINEAR_RANK = 1e-9  # smallest singular value of the scaled columns, per largest, that can still be told apart
-RANK = 1e-6  # the same with columns that are differences
+
+class Status(str, Enum):
+    """Outcome of a solver."""
+
+    OK = "ok"
+    NOT_CONVERGED = "not_converged"
+    NOT_OBSERVABLE = "not_observable"
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """What is to be found in a window, and what is known."""
+class Unknowns:
+    """Linear unknowns, then nonlinear ones, with bounds and Gaussian priors."""
 
-    window: Window
-    linear: tuple[str, ...]  # of LINEAR, free
-    nonlinear: tuple[str, ...] = ()  # of NONLINEAR, free
-    known: Mapping[str, float] = field(default_factory=dict)  # those that are not free; else 0 or as measured
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of free ones: mean, deviation
+    linear: int  # number of linear unknowns
+    start: Array  # (k,) first values of the nonlinear unknowns
+    low: Array  # (k,) least values of the nonlinear unknowns
+    high: Array  # (k,) largest values
+    prior_mean: Array  # (p,) of all unknowns, p = linear + k
+    prior_std: Array  # (p,), infinite where there is no prior
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All that is free, in the order of a Solution."""
-        return (*self.linear, *self.nonlinear)
+    def prior_rows(self, columns: slice) -> tuple[Array, Array]:
+        """Rows (m, q) that priors on some unknowns add, and their targets (m,): measurements of them."""
+        mean, std = self.prior_mean[columns], self.prior_std[columns]
+        index = np.isfinite(std).nonzero()[0]
+        if not len(index):
+            return np.empty((0, len(std))), np.empty(0)
+        rows = np.zeros((len(index), len(std)))
+        rows[np.arange(len(index)), index] = 1.0 / std[index]
+        return rows, mean[index] / std[index]
 
-    @property
-    def known_nonlinear(self) -> dict[str, float]:
-        """What `predictor` must be told besides the free ones."""
-        return shaping(self.known, self.names)
 
-    def values(self, solution: Array) -> dict[str, float]:
-        """All parameters by name, known and found."""
-        return {**self.known, **dict(zip(self.names, solution.tolist(), strict=True))}
+@dataclass(frozen=True, eq=False)
+class ResidualBlock:
+    """One group of residual rows and the unknowns that only these rows depend on.
 
-    def predicted(self, solution: Array) -> Array:
-        """Both channels (n, 2) [rad/s] of a solution (p,)."""
-        values = self.values(solution)
-        return predictor(self.window, shaping(values)).predict(values)
+    linear(nonlinear) returns the columns of the linear unknowns, own and shared, and the target t;
+    slopes(nonlinear, linear) returns the derivatives of the prediction by the nonlinear unknowns, own (m, k)
+    and shared (m, l). Values are those of the own unknowns, then of the shared ones.
+    """
+
+    own: Unknowns
+    linear: Callable[[Array], Block]
+    slopes: Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a solver found; empty arrays when the measurement does not tell the parameters apart."""
+    """Outcome of `solve`; without values where the data do not determine the unknowns."""
 
-    status: str  # ok, not_converged, not_observable
-    message: str
-    values: Array = field(default_factory=lambda: np.empty(0))  # (p,) in the order of Problem.names
-    jacobian: Array = field(default_factory=lambda: np.empty((0, 0)))  # (m, p) of the rows, priors last
-    channels: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p), the same per sample
-    rows: Array = field(default_factory=lambda: np.empty(0))  # (m,) residual rows
-    steps: int = 0
-    covariance: Array | None = None  # (p, p), where it is not that of the rows
-
-    @property
-    def inverse(self) -> Array:
-        """Covariance (p, p): what was found otherwise, else that of rows of unit variance."""
-        return self.of_rows if self.covariance is None else self.covariance
-
-    @property
-    def of_rows(self) -> Array:
-        """Inverse (p, p) of J'J."""
-        scale = np.linalg.norm(self.jacobian, axis=0)
-        scaled = self.jacobian / scale
-        inverse: Array = np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale)
-        return inverse
+    status: Status
+    own: tuple[Array, ...] = ()  # (p,) of each block: linear, then nonlinear
+    shared: Array = field(default_factory=lambda: np.empty(0))  # (s,) the same
+    blocks: tuple[Block, ...] = ()  # linearised at the solution; targets are residuals, rows of priors last
+    arrow: BlockArrowheadSolution | None = None  # of these blocks: a Gauss-Newton step, covariances
+    evaluations: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """The problem at one set of nonlinear values, linear ones solved for."""
+    """The problem at one set of nonlinear values, solved for the linear ones."""
 
-    nonlinear: Array  # (q,)
-    linear: Array  # (p,)
-    model: Predictor
-    rows: Array  # (m,) residual rows, those of the priors on linear ones included
-    cost: float
+    problem: _Minimiser
+    nonlinear: Array  # (x,) of all blocks, then shared
+    blocks: tuple[Block, ...]  # of the linear unknowns, rows of their priors last
+    factors: BlockArrowhead
+    found: BlockArrowheadSolution
+    residual: Array  # (m,) all rows, those of priors on nonlinear unknowns last
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def slopes(self) -> list[tuple[Array, Array]]:
+        """Derivatives of each block's prediction by its own and by shared nonlinear unknowns."""
+        own, common = self.problem.split(self.nonlinear)
+        return [
+            block.slopes(np.concatenate([values, common]), np.concatenate([linear, self.found.shared]))
+            for block, values, linear in zip(self.problem.blocks, own, self.found.own, strict=True)
+        ]
 
 
-def solve(problem: Problem, rows: Rows, start: Array | None = None) -> Solution:
-    """Solve a problem whose samples `rows` turns into rows of unit variance.
+def solve(
+    blocks: Sequence[ResidualBlock],
+    shared: Unknowns,
+    tolerance: float = TOLERANCE,
+    smallest: float = SMALLEST_SINGULAR_VALUE,
+) -> Solution:
+    """Minimise the sum of squares.
 
-    start: nonlinear values (q,) to begin with; None: the priors' means, or what the window knows.
+    tolerance: last step, in standard errors. smallest: singular value of the scaled Jacobian, per largest,
+    from which on the unknowns count as observable. Raises ParameterError if the residuals can't be evaluated
+    at the first values.
     """
+    minimiser = _Minimiser(blocks, shared)
+    point = minimiser.at(minimiser.start)
+    first = minimiser.solution(point, smallest)
+    if point is None or first.arrow is None or not minimiser.free.any():
+        return first
+    point, converged, evaluations = minimiser.minimise(point, tolerance)
+    status = Status.OK if converged else Status.NOT_CONVERGED
+    return minimiser.solution(point, smallest, status, evaluations)
+
+
+def linearise(
+    blocks: Sequence[ResidualBlock], shared: Unknowns, smallest: float = SMALLEST_SINGULAR_VALUE
+) -> Solution:
+    """The problem around its first nonlinear values, solved for the linear unknowns; raises as `solve`."""
+    minimiser = _Minimiser(blocks, shared)
+    return minimiser.solution(minimiser.at(minimiser.start), smallest)
+
+
+def cost(blocks: Sequence[ResidualBlock], shared: Unknowns) -> float:
+    """Sum of squares at the first nonlinear values; infinite where it can't be evaluated."""
+    minimiser = _Minimiser(blocks, shared)
     try:
-        point = _at(problem, rows, _first(problem, rows) if start is None else start)
-        if point is None:
-            return _unobservable(problem)
-        return _descend(problem, rows, point)
-    except ParameterError as error:
-        return Solution("not_observable", str(error))
+        point = minimiser.at(minimiser.start)
+    except ParameterError:
+        return math.inf
+    return math.inf if point is None else point.cost
 
 
-def _descend(problem: Problem, rows: Rows, point: _Point) -> Solution:
-    damping, step_count, settled = 0.0, 0, not problem.nonlinear
-    channels, jacobian, residual = _jacobian(problem, rows, point)
-    while not settled and step_count < STEPS:
-        step = _step(problem, point, jacobian, residual, damping)
-        if step is None:
-            return _unobservable(problem)
-        change, small = step
-        trial = _try(problem, rows, _bounded(problem, point.nonlinear + change))
-        step_count += 1
-        if trial is not None and trial.cost <= point.cost * (1.0 + 1e-12) + 1e-300:
-            point, damping = trial, damping / 10.0 if damping > 1e-6 else 0.0
-            channels, jacobian, residual = _jacobian(problem, rows, point)
-            settled = small
-        elif small:
-            settled = True  # rounding: nothing better is within reach
-        else:
-            damping = max(10.0 * damping, 1e-3)
-    if not full_rank(jacobian, RANK if problem.nonlinear else LINEAR_RANK):
-        return _unobservable(problem)
-    values = np.concatenate([point.linear, point.nonlinear])
-    status = "ok" if settled else "not_converged"
-    message = "" if settled else f"no minimum after {STEPS} steps; free fewer parameters or give a prior"
-    return Solution(status, message, values, jacobian, channels, residual, step_count)
+class _Minimiser:
+    """The projected problem as a function of the nonlinear unknowns: own ones of each block, then shared."""
 
+    def __init__(self, blocks: Sequence[ResidualBlock], shared: Unknowns) -> None:
+        self.blocks, self.shared = blocks, shared
+        every = [*(block.own for block in blocks), shared]
+        self.counts = [len(one.start) for one in every]
+        self.low = np.concatenate([one.low for one in every])
+        self.high = np.concatenate([one.high for one in every])
+        self.start = np.clip(np.concatenate([one.start for one in every]), self.low, self.high)
+        self.free: NDArray[np.bool_] = self.high > self.low
+        self.prior_rows, self.prior_target = np.empty((0, len(self.start))), np.empty(0)
+        if not len(self.start):
+            return
+        priors = [one.prior_rows(slice(one.linear, None)) for one in every]
+        self.prior_rows = np.zeros((sum(len(rows) for rows, _ in priors), len(self.start)))
+        self.prior_target = np.concatenate([target for _, target in priors])
+        row = column = 0
+        for (rows, _), count in zip(priors, self.counts, strict=True):
+            self.prior_rows[row : row + len(rows), column : column + count] = rows
+            row, column = row + len(rows), column + count
 
-def _step(
-    problem: Problem, point: _Point, jacobian: Array, residual: Array, damping: float
-) -> tuple[Array, bool] | None:
-    """Change of the nonlinear values (q,), and whether it is small; None if nothing tells them apart."""
-    count = len(problem.linear)
-    scale = np.linalg.norm(jacobian, axis=0)
-    if not scale.all():
-        return None
-    low, high = _bounds(problem)
-    free = np.ones(len(scale), dtype=bool)
-    for _ in range(len(problem.nonlinear) + 1):
-        scaled = jacobian[:, free] / scale[free]
-        damped = np.concatenate([scaled, math.sqrt(damping) * np.eye(scaled.shape[1])]) if damping else scaled
-        target = np.concatenate([residual, np.zeros(scaled.shape[1])]) if damping else residual
-        found, _, rank, singular = np.linalg.lstsq(damped, target, rcond=None)
-        if rank < scaled.shape[1] or singular[-1] < RANK * singular[0]:
+    def split(self, nonlinear: Array) -> tuple[list[Array], Array]:
+        """Nonlinear values of each block, and shared ones."""
+        if not len(nonlinear):
+            return [nonlinear] * len(self.blocks), nonlinear
+        *own, shared = np.split(nonlinear, np.cumsum(self.counts)[:-1])
+        return own, shared
+
+    def at(self, nonlinear: Array) -> _Point | None:
+        """Best linear values at nonlinear ones; None if the rows do not determine them."""
+        own, common = self.split(nonlinear)
+        rows = []
+        for block, values in zip(self.blocks, own, strict=True):
+            prior, wanted = block.own.prior_rows(slice(block.own.linear))
+            rows.append(_with_rows(block.linear(np.concatenate([values, common])), prior, wanted))
+        prior, wanted = self.shared.prior_rows(slice(self.shared.linear))
+        factors = factorize(rows, prior)
+        if factors is None:
             return None
-        change = np.zeros(len(scale))
-        change[free] = found / scale[free]
-        # At a bound and pulled beyond it: what is left is solved without that one.
-        wanted = point.nonlinear + change[count:]
-        stuck = ((point.nonlinear <= low) & (wanted < low)) | ((point.nonlinear >= high) & (wanted > high))
-        stuck &= free[count:]
-        if not stuck.any():
-            break
-        free[count:] &= ~stuck
-    spread = math.sqrt(float(residual @ residual) / max(len(residual) - len(scale), 1))
-    settled = RUBBED if FRICTION in {*problem.names, *problem.known} else SETTLED
-    small = np.abs(change[count:]) <= settled * spread / scale[count:] + 1e-11 * (
-        1.0 + np.abs(point.nonlinear)
-    )
-    return change[count:], bool(small.all())
+        found = factors.solve(rows, wanted)
+        off = [wanted - prior @ found.shared, self.prior_target - self.prior_rows @ nonlinear]
+        residual = np.concatenate([*found.residuals, *off])
+        return _Point(self, nonlinear, tuple(rows), factors, found, residual)
+
+    def projected_jacobian(self, point: _Point) -> Array:
+        """Derivative (m, x) of the projected residual, without the term in the columns' own derivatives."""
+        columns, first = [], 0
+        for rows, (own, common), count in zip(point.blocks, point.slopes, self.counts[:-1], strict=True):
+            whole = np.zeros((len(rows.target), len(self.start)))
+            whole[: len(own), first : first + count] = own
+            whole[: len(common), len(self.start) - self.counts[-1] :] = common
+            columns.append(whole)
+            first += count
+        prior = np.zeros((len(point.factors.shared[0]) - sum(len(one) for one in columns), len(self.start)))
+        projected = point.factors.residuals(columns, prior)
+        jacobian: Array = -np.concatenate([*projected, self.prior_rows])
+        return jacobian
+
+    def solution(
+        self, point: _Point | None, smallest: float, status: Status = Status.OK, evaluations: int = 1
+    ) -> Solution:
+        """The solution at a point; not observable where the unknowns' columns are not independent there."""
+        if point is None:
+            return Solution(Status.NOT_OBSERVABLE)
+        if not len(self.start):
+            found = point.found
+            blocks = tuple(replace(b, target=r) for b, r in zip(point.blocks, found.residuals, strict=True))
+            return Solution(status, found.own, found.shared, blocks, found, evaluations)
+        own, common = self.split(point.nonlinear)
+        prior, wanted = self.shared.prior_rows(slice(None))
+        shared = np.concatenate([point.found.shared, common])
+        blocks = tuple(self._linearised(point, k, values) for k, values in enumerate(own))
+        arrow = solve_block_arrowhead(blocks, prior, wanted - prior @ shared, smallest)
+        if arrow is None:
+            return Solution(Status.NOT_OBSERVABLE)
+        values = tuple(np.concatenate(pair) for pair in zip(point.found.own, own, strict=True))
+        return Solution(status, values, shared, blocks, arrow, evaluations)
+
+    def _linearised(self, point: _Point, k: int, nonlinear: Array) -> Block:
+        """Rows of one block for all its unknowns around a point, those of priors on nonlinear ones last."""
+        own, rows, slopes = self.blocks[k].own, point.blocks[k], point.slopes[k]
+        extra = len(rows.target) - len(slopes[0])  # rows of priors on linear unknowns
+        by_own, by_shared = (np.concatenate([one, np.zeros((extra, one.shape[1]))]) for one in slopes)
+        whole = Block(
+            np.concatenate([rows.own, by_own], axis=1),
+            np.concatenate([rows.shared, by_shared], axis=1),
+            point.found.residuals[k],
+        )
+        prior, wanted = own.prior_rows(slice(own.linear, None))
+        on_linear = np.zeros((len(prior), own.linear))
+        return _with_rows(whole, np.concatenate([on_linear, prior], axis=1), wanted - prior @ nonlinear)
+
+    def minimise(self, point: _Point, tolerance: float) -> tuple[_Point, bool, int]:
+        """The best point, whether it is a minimum, and the number of evaluations.
+
+        scipy sees values z per standard error, FIRST_STEP at the start: its first trust region is as large as
+        its first values, and its tolerance is relative to them.
+        """
+        from scipy.optimize import least_squares  # 0.2 s to import
+
+        start, first = point.nonlinear, self.projected_jacobian(point)
+        spread = math.sqrt(point.cost / max(len(point.residual) - len(start), 1)) or 1.0
+        size = np.linalg.norm(first[:, self.free], axis=0)
+        std = spread / np.where(size > 0.0, size, np.inf)
+        scale = std + ROUNDING * (1.0 + np.abs(start[self.free])) / tolerance
+        points = {start.tobytes(): point}
+        best = point
+
+        low, high = ((end - start)[self.free] / scale + FIRST_STEP for end in (self.low, self.high))
+
+        def values(z: Array) -> Array:
+            moved = start.copy()
+            # A value at a bound is that bound to the last digit.
+            inside = np.where(z <= low, self.low[self.free], start[self.free] + scale * (z - FIRST_STEP))
+            moved[self.free] = np.where(z >= high, self.high[self.free], inside)
+            return moved
+
+        def residual(z: Array) -> Array:
+            moved = values(z)
+            key = moved.tobytes()
+            if key not in points:
+                try:
+                    trial = self.at(moved)
+                except ParameterError:  # such as a speed that falls below zero within the window
+                    trial = None
+                if trial is None:
+                    return np.full(len(point.residual), np.inf)
+                points[key] = trial
+            return points[key].residual / spread
+
+        def jacobian(z: Array) -> Array:
+            nonlocal best
+            best = points[values(z).tobytes()]
+            points.clear()
+            points[best.nonlinear.tobytes()] = best
+            by_values = first if best is point else self.projected_jacobian(best)
+            scaled: Array = by_values[:, self.free] * (scale / spread)
+            return scaled
+
+        found = least_squares(
+            residual,
+            np.full(len(scale), FIRST_STEP),
+            jacobian,
+            bounds=(low, high),
+            method="dogbox",
+            ftol=None,
+            xtol=tolerance / FIRST_STEP,
+            gtol=GRADIENT_ROUNDING,
+            max_nfev=MAX_EVALUATIONS,
+        )
+        return best, found.status > 0, int(found.nfev)
 
 
-def _first(problem: Problem, rows: Rows) -> Array:
-    """Where to begin: with friction, from what is found without it, which is linear in the initial state."""
-    first = starting_values(problem)
-    if FRICTION not in {*problem.names, *problem.known}:
-        return _among_gains(problem, rows, first)
-    names = [name for name in problem.names if name != FRICTION]
-    smooth = replace(
-        problem,
-        linear=tuple(name for name in names if name in LINEAR),
-        nonlinear=tuple(name for name in names if name not in LINEAR),
-        known={name: value for name, value in problem.known.items() if name != FRICTION},
-        priors={name: prior for name, prior in problem.priors.items() if name != FRICTION},
-    )
-    found = solve(smooth, rows)
-    if found.status == "not_observable":
-        return first
-    values = dict(zip(smooth.names, found.values.tolist(), strict=True))
-    return np.array([values.get(name, one) for name, one in zip(problem.nonlinear, first, strict=True)])
-
-
-def _among_gains(problem: Problem, rows: Rows, first: Array) -> Array:
-    """The start (q,), with the feedback gain that explains the most, of some that a controller may have.
-
-    Too small a gain leaves a bicycle that falls. Its best response is nearly none, whatever the gain, so that
-    no slope leads from there to the right one.
-    """
-    if GAIN not in problem.nonlinear or GAIN in problem.priors:
-        return first
-    bicycle, index = problem.window.bicycle, problem.nonlinear.index(GAIN)
-    size = problem.window.start_speed * float(
-        np.abs(bicycle.damping[1]).max()
-    )  # of the steering's own torques
-    rivals = [first]
-    for share in GAINS if np.isfinite(size) else ():
-        rival = first.copy()
-        rival[index] += share * size / (bicycle.steer_elements.steer_torque_gain or 1.0)
-        rivals.append(rival)
-    costs = [math.inf if (point := _try(problem, rows, one)) is None else point.cost for one in rivals]
-    return rivals[int(np.argmin(costs))]
-
-
-def starting_values(problem: Problem) -> Array:
-    """Where to begin with the nonlinear parameters."""
-    window = problem.window
-    known = known_values(window)
-    if not window.speed.constant and "rolling_resistance" in problem.nonlinear:
-        known["rolling_resistance"] = -float(window.speed.coefficients[1]) / coasting_loss(window.bicycle)
-    if "strike_time" in problem.nonlinear and not window.delay:
-        known["strike_time"] = -0.5 * window.longest_delay
-    first = [
-        problem.priors[name][0] if name in problem.priors else known.get(name, 0.0)
-        for name in problem.nonlinear
-    ]
-    return _bounded(problem, np.array(first, dtype=float))
-
-
-def _bounds(problem: Problem) -> tuple[Array, Array]:
-    bounds = {
-        "strike_time": (-problem.window.longest_delay, 0.0),
-        "speed": (0.05, np.inf),
-        FRICTION: (0.0, np.inf),
-    }
-    pairs = np.array([bounds.get(name, (-np.inf, np.inf)) for name in problem.nonlinear]).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
-
-
-def _bounded(problem: Problem, nonlinear: Array) -> Array:
-    clipped: Array = np.clip(nonlinear, *_bounds(problem))
-    return clipped
-
-
-def _try(problem: Problem, rows: Rows, nonlinear: Array) -> _Point | None:
-    try:
-        return _at(problem, rows, nonlinear)
-    except ParameterError:  # as a speed that ends before the window does
-        return None
-
-
-def _at(problem: Problem, rows: Rows, nonlinear: Array) -> _Point | None:
-    values = dict(zip(problem.nonlinear, nonlinear.tolist(), strict=True))
-    model = predictor(problem.window, {**problem.known_nonlinear, **values})
-    matrix = rows(model.select(problem.linear))
-    target = rows(problem.window.measured - model.predict(problem.known))
-    extra, wanted = _prior_rows(problem.linear, problem.priors)
-    if len(wanted):
-        matrix, target = np.concatenate([matrix, extra]), np.concatenate([target, wanted])
-    linear = _best(matrix, target)
-    if linear is None:
-        return None
-    residual = target - matrix @ linear
-    offs = [
-        (value - problem.priors[name][0]) / problem.priors[name][1]
-        for name, value in values.items()
-        if name in problem.priors
-    ]
-    cost = float(residual @ residual) + sum(off**2 for off in offs)
-    return _Point(nonlinear, linear, model, residual, cost)
-
-
-def _best(matrix: Array, target: Array) -> Array | None:
-    """Least squares; None when the columns are not independent."""
-    if not matrix.shape[1]:
-        return np.empty(0)
-    scale = np.linalg.norm(matrix, axis=0)
-    if not (scale.all() and np.isfinite(scale).all()):
-        return None
-    values, _, rank, _ = np.linalg.lstsq(matrix / scale, target, rcond=LINEAR_RANK)
-    return values / scale if rank == matrix.shape[1] else None
-
-
-def _jacobian(problem: Problem, rows: Rows, point: _Point) -> tuple[Array, Array, Array]:
-    """Derivatives of the prediction (n, 2, p), as rows (m, p) with those of the priors, and residual rows."""
-    values = dict(zip(problem.nonlinear, point.nonlinear.tolist(), strict=True))
-    nonlinear = {**problem.known_nonlinear, **values}
-    linear = {**problem.known, **dict(zip(problem.linear, point.linear.tolist(), strict=True))}
-    slopes = [
-        derivative(problem.window, nonlinear, name).predict(linear)[:, :, None] for name in problem.nonlinear
-    ]
-    channels = np.concatenate([point.model.select(problem.linear), *slopes], axis=2)
-    extra, wanted = _prior_rows(problem.nonlinear, problem.priors)
-    jacobian = np.zeros((len(point.rows) + len(wanted), len(problem.names)))
-    measured = rows(channels)
-    jacobian[: len(measured)] = measured
-    on_linear, _ = _prior_rows(problem.linear, problem.priors)
-    jacobian[len(measured) : len(point.rows), : len(problem.linear)] = on_linear
-    jacobian[len(point.rows) :, len(problem.linear) :] = extra
-    residual = np.concatenate([point.rows, wanted - extra @ point.nonlinear])
-    return channels, jacobian, residual
-
-
-def _prior_rows(names: tuple[str, ...], priors: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
-    """One further row per prior (m, p), and what it should give (m,): a measurement like any other."""
-    held = [(names.index(name), *priors[name]) for name in names if name in priors]
-    matrix, target = np.zeros((len(held), len(names))), np.zeros(len(held))
-    for row, (column, mean, std) in enumerate(held):
-        matrix[row, column], target[row] = 1.0 / std, mean / std
-    return matrix, target
-
-
-def full_rank(jacobian: Array, least: float) -> bool:
-    """Whether the columns (m, p) are independent: no singular value up to `least` of the largest."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    if not (scale.all() and np.isfinite(scale).all()):
-        return False
-    singular = np.linalg.svd(jacobian / scale, compute_uv=False)
-    return bool(singular[-1] > least * singular[0])
-
-
-def _unobservable(problem: Problem) -> Solution:
-    return Solution(
-        "not_observable",
-        f"the measured channels do not tell {', '.join(problem.names)} apart; free fewer of them",
+def _with_rows(block: Block, own: Array, target: Array) -> Block:
+    """A block with further rows that depend on its own unknowns only."""
+    if not len(target):
+        return block
+    return Block(
+        np.concatenate([block.own, own]),
+        np.concatenate([block.shared, np.zeros((len(target), block.shared.shape[1]))]),
+        np.concatenate([block.target, target]),
     )

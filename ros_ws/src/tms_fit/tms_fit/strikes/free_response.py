@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tms_fit.least_squares.varpro import Problem, solve
+from tms_fit.least_squares.problem import Problem, solve
 from tms_fit.window import Window
 
 

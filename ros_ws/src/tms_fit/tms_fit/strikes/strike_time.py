@@ -15,7 +15,7 @@ from tms_model import linear_system
 from tms_model.bicycle import Array
 from tms_model.response import FASTEST
 
-from tms_fit.least_squares.varpro import Problem
+from tms_fit.least_squares.problem import Problem
 from tms_fit.strikes.impulse import Impulse, fit_impulse
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import Window, without_saturated
