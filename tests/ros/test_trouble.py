@@ -446,7 +446,8 @@ def test_a_consumer_that_is_held_up_gets_a_lossless_replay_in_its_order(
     assert "out_of_order" not in nodes.log("estimator").read_text()
 
 
-@pytest.mark.parametrize("rounds", [16, pytest.param(180, marks=pytest.mark.long)])  # of 20 s each
+@pytest.mark.long
+@pytest.mark.parametrize("rounds", [16, 180])  # of 20 s each
 def test_a_long_run_takes_no_memory_and_leaves_no_thread(
     nodes: Any, participant: Any, tmp_path: Path, rounds: int
 ) -> None:
