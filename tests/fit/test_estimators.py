@@ -354,7 +354,7 @@ def test_start_is_never_less_certain_than_a_uniform_guess() -> None:
 @pytest.mark.parametrize("spread", [2e-4, 0.003, 1.0])
 def test_a_start_between_two_samples_is_a_normal_distribution_cut_off(peak: float, spread: float) -> None:
     # Against the density, scaled by its largest value, in steps ten times finer.
-    mean, std = least_squares.within(peak, spread, 0.01)
+    mean, std = least_squares.truncated_normal(peak, spread, 0.01)
     nearest = min(max(peak, 0.0), 0.01)
     width = min(0.01, 12.0 * spread, 60.0 * spread**2 / max(abs(peak - nearest), 1e-9))
     x = np.linspace(max(nearest - width, 0.0), min(nearest + width, 0.01), 4001)

@@ -1,4 +1,4 @@
-"""Numbers of a bicycle from many free responses, with intervals that repeated pushes bear out.
+"""Calibration of bicycle parameters from many free responses, with intervals by the scatter of pushes.
 
 What a model leaves out makes residuals that are alike from sample to sample, so that a residual's variance
 says little about how well a parameter is known. What says it is how much the pushes disagree with each other:
@@ -26,8 +26,8 @@ from tms_calibrate.pooled_problem import PooledProblem, PooledSolution, Run
 from tms_calibrate.pooled_solver import solve_pooled
 from tms_calibrate.random_effects import RandomEffects, random_effects
 
-LEAST_RUNS = 4  # pushes, so that their scatter says something
-SHARE = 0.2  # of its value: a parameter's prior standard deviation where none is stated
+MIN_RUNS = 4  # pushes, so that their scatter says something
+PRIOR_SHARE = 0.2  # of its value: a parameter's prior standard deviation where none is stated
 ELEMENT_PRIORS = {  # where none is stated; zero or one where the bicycle says nothing
     "steer_spring": 5.0,  # [N m/rad]
     "steer_damper": 0.5,  # [N m s/rad]
@@ -109,9 +109,9 @@ def priors_for(
 ) -> tuple[dict[str, Measured], dict[str, str]]:
     """A prior for each name and where it comes from: given, stated with the bicycle, or assumed.
 
-    Assumed is SHARE of the value, or ELEMENT_PRIORS. Raises ParameterError for a name that the bicycle does
-    not have, a prior on what is not free or without deviation, and for a value of 0 of which SHARE says
-    nothing.
+    Assumed is PRIOR_SHARE of the value, or ELEMENT_PRIORS. Raises ParameterError for a name that the bicycle
+    does not have, a prior on what is not free or without deviation, and for a value of 0 of which PRIOR_SHARE
+    says nothing.
     """
     numbers = numbers_of(bicycle)
     check_known(names, numbers, "free")
@@ -123,7 +123,7 @@ def priors_for(
         elif bicycle.standard_deviations.get(name, 0.0) > 0.0:
             priors[name], sources[name] = Measured(numbers[name], bicycle.standard_deviations[name]), "stated"
         else:
-            assumed = ELEMENT_PRIORS.get(name, SHARE * abs(numbers[name]))
+            assumed = ELEMENT_PRIORS.get(name, PRIOR_SHARE * abs(numbers[name]))
             priors[name], sources[name] = Measured(numbers[name], assumed), "assumed"
         if not priors[name].deviation > 0.0:
             raise ParameterError(
@@ -139,9 +139,9 @@ def calibrate(
     """Calibrate `names` of a bicycle; raises ParameterError as `priors_for`, and for too few runs."""
     if not names or len(set(names)) < len(names):
         raise ParameterError(f"free: expected each name once, found {', '.join(names) or 'none'}")
-    if len(runs) < LEAST_RUNS:
+    if len(runs) < MIN_RUNS:
         raise ParameterError(
-            f"expected at least {LEAST_RUNS} strikes, whose scatter says how sure they are, found {len(runs)}"
+            f"expected at least {MIN_RUNS} strikes, whose scatter says how sure they are, found {len(runs)}"
         )
     priors, sources = priors_for(bicycle, names, given)
     compared = tuple(replace(run, window=replace(run.window, bicycle=bicycle)) for run in runs)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from tms_calibrate.calibration import Calibration
 from tms_calibrate.calibration_output import CrossValidationRow
-from tms_calibrate.cross_validation import JUDGED
+from tms_calibrate.cross_validation import OWN_UNKNOWNS
 from tms_calibrate.pooled_fit import Strike
 from tms_calibrate.pooled_problem import PooledProblem, Run
 from tms_calibrate.pooled_solver import model_of, solve_pooled
@@ -48,7 +48,7 @@ def _pushes(
     windows = [calibration.solution.problem.runs[k].window for k in here]
     found = calibration.solution.shared_values
     for k, window in enumerate(windows):
-        alone = solve_pooled(PooledProblem((Run(window, JUDGED),), known=found))
+        alone = solve_pooled(PooledProblem((Run(window, OWN_UNKNOWNS),), known=found))
         if alone.status == "ok":
             label = "measured, per initial lean rate" if k == 0 else None
             axes.plot(window.time, window.lean_rate / alone.own[0][0], color=MEASURED, lw=0.7, label=label)
@@ -58,7 +58,7 @@ def _pushes(
         ({}, BEFORE, "--", f"{calibration.bicycle.name}"),
         (found, AFTER, "-", "calibrated"),
     ):
-        curve = model_of(middle, numbers).select(JUDGED)[:, 0, 0]
+        curve = model_of(middle, numbers).select(OWN_UNKNOWNS)[:, 0, 0]
         axes.plot(middle.time, curve, color=colour, ls=style, lw=2.0, label=words)
     before, after = (float(np.median(values[here])) for values in (judged.before, judged.after))
     axes.set_title(

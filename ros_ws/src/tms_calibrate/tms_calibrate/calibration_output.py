@@ -12,7 +12,7 @@ from tms_model.bicycle import Array
 from tms_model.changes import MATRIX_ENTRIES, numbers_of
 from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES
 
-from tms_calibrate.calibration import SHARE, Calibration
+from tms_calibrate.calibration import PRIOR_SHARE, Calibration
 from tms_calibrate.cross_validation import (
     LeftOut,
     jackknife_std,
@@ -40,7 +40,7 @@ class CrossValidationRow:
     jackknife: Array  # (p,) standard errors by leaving pushes out: the data's part
     recordings: dict[str, LeftOut]  # by the calibration of the other recordings
     free: Identifiability  # of what was calibrated
-    parameters: Identifiability | None  # of all parameters, each known within SHARE of its value
+    parameters: Identifiability | None  # of all parameters, each known within PRIOR_SHARE of its value
     entries: Identifiability  # of the entries of the matrices, likewise
     starts: (
         InitialStateSensitivity | None
@@ -70,10 +70,10 @@ def judge(calibration: Calibration, strikes: Sequence[Strike]) -> CrossValidatio
 
 
 def _all(calibration: Calibration, names: tuple[str, ...]) -> Identifiability:
-    """Identifiability of all these numbers of the bicycle before, each known within SHARE of its value."""
+    """Identifiability of these numbers of the parent bicycle, each known within PRIOR_SHARE of its value."""
     numbers = numbers_of(calibration.bicycle)
     scales = {
-        name: SHARE * abs(numbers[name])
+        name: PRIOR_SHARE * abs(numbers[name])
         for name in names
         if name not in MAY_BE_UNKNOWN and numbers.get(name, 0.0) != 0.0
     }
@@ -88,7 +88,7 @@ def _at_constant_speed(run: Run) -> Run:
 
 
 def in_word(contraction: float) -> str:
-    """Who tells a number."""
+    """Source of a value: data, prior, or both."""
     if contraction >= MOSTLY_DATA:
         return "data"
     return "data and prior" if contraction > MOSTLY_PRIOR else "prior"
@@ -214,8 +214,8 @@ def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judge
         lines.append(judged.starts.in_words)
     lines += _combinations(judged.free, "of these")
     if judged.parameters:
-        lines += _combinations(judged.parameters, f"parameters, each known within {100 * SHARE:.0f} %")
-    lines += _combinations(judged.entries, f"matrix entries, each known within {100 * SHARE:.0f} %")
+        lines += _combinations(judged.parameters, f"parameters, each known within {100 * PRIOR_SHARE:.0f} %")
+    lines += _combinations(judged.entries, f"matrix entries, each known within {100 * PRIOR_SHARE:.0f} %")
     lines.append("median VAF of the lean rate, one initial lean rate per push and nothing else of that push:")
     lines.append(
         f"{'bag':24} {'pushes':>6} {'before':>8} {'found':>8} {'push left out':>14} {'bag left out':>13}"

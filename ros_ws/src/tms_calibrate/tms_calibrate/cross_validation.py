@@ -1,4 +1,4 @@
-"""Does a calibration predict pushes that it has not seen? Each push left out in turn, and each recording."""
+"""Cross-validation of a calibration: each push left out in turn, and each recording."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from tms_calibrate.calibration import Calibration
 from tms_calibrate.pooled_problem import PooledProblem, Run
 from tms_calibrate.pooled_solver import solve_pooled
 
-JUDGED = ("initial_lean_rate",)  # all that a push that is judged may have of its own
+OWN_UNKNOWNS = ("initial_lean_rate",)  # all that a push that is judged may have of its own
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What the other pushes make of some that were left out."""
+    """Calibration without some pushes, and its prediction of these."""
 
     values: Mapping[str, float]  # calibrated without them
     std: Mapping[str, float]
     vaf: Array  # (k,) of the lean rate of each push left out
 
 
-def lean_rate_vaf(window: Window, numbers: Mapping[str, float], own: tuple[str, ...] = JUDGED) -> float:
+def lean_rate_vaf(window: Window, numbers: Mapping[str, float], own: tuple[str, ...] = OWN_UNKNOWNS) -> float:
     """VAF of a window's lean rate by a bicycle with these numbers, unknowns `own` of the push solved for.
 
     NaN where there is no lean rate or where it doesn't tell them.

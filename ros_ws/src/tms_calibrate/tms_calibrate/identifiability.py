@@ -1,4 +1,4 @@
-"""Which numbers of a bicycle do some free responses tell? By the singular values of the scaled Jacobian.
+"""Identifiability of bicycle parameters by the singular values of the scaled Jacobian.
 
 The change of the predictions by each number, times its prior standard deviation, per standard deviation of
 what one measurement stands for, with all that a run's own unknowns could imitate taken out. A singular value

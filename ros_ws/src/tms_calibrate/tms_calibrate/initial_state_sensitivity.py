@@ -1,4 +1,4 @@
-"""Whether a calibration depends on what it takes each response's start for.
+"""Sensitivity of a calibration to the assumed initial state of each response.
 
 A push of some tenths of a second leaves the bicycle leaning and steering when it ends. Where only the lean
 rate is free there, all pushes are wrong in the same way: the numbers of the bicycle make up for it, and the
@@ -17,7 +17,7 @@ from tms_model.bicycle import Array
 
 from tms_calibrate.calibration import Calibration, solve_balanced
 
-FAR = 2.0  # stated standard errors; numbers that move by more depend on the start
+MAX_SHIFT = 2.0  # stated standard errors; numbers that move by more depend on the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class InitialStateSensitivity:
     @property
     def matter(self) -> bool:
         """Whether some number depends on the start."""
-        return bool((np.abs(self.moved) > FAR).any())
+        return bool((np.abs(self.moved) > MAX_SHIFT).any())
 
     @property
     def in_words(self) -> str:
@@ -40,7 +40,7 @@ class InitialStateSensitivity:
         told = ", ".join(
             f"{name} {self.values[k]:.4g} +/- {self.std[k]:.2g} ({self.moved[k]:+.1f} standard errors)"
             for k, name in enumerate(self.names)
-            if not self.matter or abs(self.moved[k]) > FAR
+            if not self.matter or abs(self.moved[k]) > MAX_SHIFT
         )
         if self.matter:
             return (

@@ -1,4 +1,4 @@
-"""The strikes of several recordings in one fit, and how much they differ from strike to strike."""
+"""Pooled fit of the strikes of several recordings, and their heterogeneity."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
 SHAREABLE = tuple(
     dict.fromkeys((*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS))
 )
-DIFFERENCE = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
+DIFFERENCE_STEP = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,11 +227,11 @@ def _inexact(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, 
     variances, axes = np.linalg.eigh(spread)
     for variance, axis in zip(variances, axes.T, strict=True):
         if variance > 0.0:
-            step = DIFFERENCE * math.sqrt(variance) * axis
+            step = DIFFERENCE_STEP * math.sqrt(variance) * axis
             ends = (replace(curve, coefficients=curve.coefficients + part * step) for part in (-1.0, 1.0))
             low, high = (replace(window, speed=end) for end in ends)
-            yield low, high, 2.0 * DIFFERENCE
+            yield low, high, 2.0 * DIFFERENCE_STEP
     if window.delay_std and "strike_time" not in names:
-        step = DIFFERENCE * window.delay_std
+        step = DIFFERENCE_STEP * window.delay_std
         least, most = max(window.delay - step, 0.0), window.delay + step
         yield replace(window, delay=least), replace(window, delay=most), (most - least) / window.delay_std

@@ -1,10 +1,10 @@
-"""Several runs under noise that remembers: one law for all of them, found from their residuals together.
+"""Pooled fits under autocorrelated noise: one noise model for all runs, estimated from all residuals.
 
 Values and covariances follow the rules of a fit of one run (`tms_fit.least_squares.irls`): `auto` is
-white noise unless the residuals remember something beyond doubt, then an autoregressive process or white
-noise that oscillates, whichever has the lower BIC over all runs. What `auto` takes for autoregressive is more
-often a wrong model, so the values stay those of least squares; their covariance is what this noise does to
-them.
+white noise unless the residuals are clearly autocorrelated, then an autoregressive process or an oscillator
+under white noise, whichever has the lower BIC over all runs. Residuals that `auto` takes for autoregressive
+are more often due to a wrong model, so the values stay those of least squares, with their sandwich covariance
+under this noise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from tms_fit.least_squares.irls import FINEST, by_start
+from tms_fit.least_squares.irls import only_rounding, strike_time_slope
 from tms_fit.noise import ar, oscillator
 from tms_fit.noise.colored import ColoredNoise, likeliest_noise
 from tms_fit.noise.posterior import Family, Piece, Posterior, posterior
@@ -27,18 +27,18 @@ from tms_calibrate.pooled_solver import Linearised, linearised_run, solve_pooled
 from tms_calibrate.sandwich_covariance import sandwich_covariance
 
 MODELS = ("auto", "white", "ar", "oscillator")
-ROUNDS = 10  # at most, of noise and values in turn
-SETTLED = 0.01  # change of the values, in standard errors, that ends them
+MAX_ROUNDS = 10  # of noise and values in turn
+TOLERANCE = 0.01  # last change of the values, in standard errors
 LEAST_LIKELY = 8.0  # fall of the log-likelihood from which on a candidate has no weight
-REACH = 4.0  # standard deviations of a law's number, to which candidates for it are tried
-LOOKS = 2  # each closer than the one before
+GRID_HALF_WIDTH = 4.0  # standard deviations of a law's number, to which candidates for it are tried
+GRID_REFINEMENTS = 2
 
 _Found = ar.ARCandidates | Array  # processes, or oscillators (g, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class NoisySolution:
-    """A solution, the noise under which it is one, and what that means for its values."""
+    """A solution with its noise model and the covariance of its values."""
 
     solution: PooledSolution
     model: str  # white, ar, oscillator
@@ -49,8 +49,8 @@ class NoisySolution:
 
 
 @dataclass(frozen=True, eq=False)
-class _Law:
-    """What the noise of all runs may be, what that says of the unknowns, and the likeliest in each run."""
+class _NoiseModel:
+    """Candidates for the noise of all runs, the posterior over them, and the likeliest noise of each run."""
 
     found: dict[int, _Found]  # candidates for each channel
     pieces: tuple[Piece, ...]
@@ -71,8 +71,11 @@ def solve_with_noise(
     if plain.arrow is None:
         return NoisySolution(plain, "white")
     runs = _linearised(plain)
-    remembers = _judged(plain, runs) and ar.is_autocorrelated(*(run.residual for run in runs))
-    if model == "white" or (model == "auto" and not remembers):
+    residuals = [run.residual for run in runs]
+    measured = np.concatenate([run.window.measured for run in problem.runs])
+    rounding = only_rounding(measured, np.concatenate(residuals))
+    colored = not rounding and ar.is_autocorrelated(*residuals)
+    if model == "white" or (model == "auto" and not colored):
         std = _std(plain)
         scale = 1.0 if problem.priors else std**2 / plain.problem.noise**2
         own = tuple(scale * inverse for inverse in plain.arrow.own_inverse)
@@ -94,11 +97,11 @@ def _under_white_noise(problem: PooledProblem) -> PooledSolution:
     bare = solve_pooled(replace(problem, priors={}))
     size = _std(bare) if bare.arrow is not None else _spread(problem)
     solution = solve_pooled(replace(problem, noise=size))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if solution.arrow is None:
             break
         noise = _std(solution)
-        settled = abs(noise / solution.problem.noise - 1.0) < SETTLED**2
+        settled = abs(noise / solution.problem.noise - 1.0) < TOLERANCE**2
         solution = solve_pooled(replace(problem, noise=noise), solution.shared[len(problem.linear) :])
         if settled:
             break
@@ -118,11 +121,11 @@ def _spread(problem: PooledProblem) -> float:
     return math.sqrt(float(np.nanmean([np.nanmean(run.window.measured**2) for run in problem.runs]))) or 1.0
 
 
-def _under(name: str, plain: PooledSolution, law: _Law, stated: Sequence[float]) -> NoisySolution:
-    """Values that are best under a noise that remembers, and the noise that they show, in turn."""
+def _under(name: str, plain: PooledSolution, law: _NoiseModel, stated: Sequence[float]) -> NoisySolution:
+    """Values and noise model estimated in turn under autocorrelated noise."""
     solution, problem = plain, replace(plain.problem, noise=1.0)
     bent = bool(problem.nonlinear or problem.priors) or any(run.nonlinear for run in problem.runs)
-    for _ in range(ROUNDS if bent else 1):  # what is linear is as good after one round
+    for _ in range(MAX_ROUNDS if bent else 1):  # what is linear is as good after one round
         before = solution
         runs = tuple(
             replace(run, rows=noise.rows) for run, noise in zip(problem.runs, law.noises, strict=True)
@@ -138,7 +141,7 @@ def _under(name: str, plain: PooledSolution, law: _Law, stated: Sequence[float])
             solution.own, before.own, law.posterior.own_covariance, strict=True
         ):
             off.append(np.abs(one - other) / np.sqrt(np.diag(covariance)))
-        if max((float(one.max(initial=0.0)) for one in off), default=0.0) <= SETTLED:
+        if max((float(one.max(initial=0.0)) for one in off), default=0.0) <= TOLERANCE:
             break
     found = law.posterior
     moved = replace(
@@ -156,27 +159,18 @@ def _linearised(solution: PooledSolution) -> tuple[Linearised, ...]:
     )
 
 
-def _judged(solution: PooledSolution, runs: Sequence[Linearised]) -> bool:
-    """Whether residuals are more than rounding, so that they say something about the noise."""
-    largest = max(float(np.nanmax(np.abs(run.residual), initial=0.0)) for run in runs)
-    measured = max(
-        float(np.nanmax(np.abs(run.window.measured), initial=0.0)) for run in solution.problem.runs
-    )
-    return largest > FINEST * measured
-
-
 def _law(
     name: str,
     solution: PooledSolution,
     runs: Sequence[Linearised],
     stated: Sequence[float],
     known: dict[int, _Found] | None = None,
-) -> _Law:
-    """The noise that residuals show, for all that the fits have taken out of them."""
+) -> _NoiseModel:
+    """The noise model by the residuals, allowing for the unknowns that the fits have removed."""
     problem = solution.problem
     goods = [np.isfinite(run.residual) for run in runs]
     times = [run.window.time for run in problem.runs]
-    looks = LOOKS if known is None and len(runs) > 1 else 0
+    looks = GRID_REFINEMENTS if known is None and len(runs) > 1 else 0
     found = _candidates(name, times, runs, stated) if known is None else known
     prior = problem.prior_rows(problem.shared, solution.shared)
     owns = [problem.prior_rows(run.names, own) for run, own in zip(problem.runs, solution.own, strict=True)]
@@ -186,7 +180,7 @@ def _law(
         for k, run in enumerate(runs):
             own, rows = run.own, owns[k]
             told = {*problem.known, *problem.runs[k].names}
-            start = by_start(problem.runs[k].window, told, solution.values(k))
+            start = strike_time_slope(problem.runs[k].window, told, solution.values(k))
             if with_start and start is not None:
                 own = np.concatenate([own, start[:, :, None]], axis=2)
                 rows = np.concatenate([rows[0], np.zeros((len(rows[1]), 1))], axis=1), rows[1]
@@ -195,13 +189,13 @@ def _law(
 
     ratios: Array | None = None
     fitted = posterior(pieces(True), prior, ratios, with_own=False)
-    for _ in range(looks):  # one run's residuals tell little, all together tell more
-        ratios = _closer_ratios(fitted)
-        found = {c: _closer(one, fitted.weights.sum(axis=(1 - c, 2))) for c, one in found.items()}
+    for _ in range(looks):  # all residuals determine the noise better than one run's
+        ratios = _refined_ratios(fitted)
+        found = {c: _refined(one, fitted.weights.sum(axis=(1 - c, 2))) for c, one in found.items()}
         fitted = posterior(pieces(True), prior, ratios, with_own=False)
     last = pieces(False)
     noises = tuple(likeliest_noise(one, fitted) for one in last)
-    return _Law(found, last, posterior(last, prior, ratios), noises)
+    return _NoiseModel(found, last, posterior(last, prior, ratios), noises)
 
 
 def _likelier(times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> str:
@@ -236,7 +230,7 @@ def _size(found: _Found) -> int:
 def _candidates(
     name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]
 ) -> dict[int, _Found]:
-    """What the noise of each channel may be, by the residuals of all runs that measured it."""
+    """Candidates for the noise of each channel, by the residuals of all runs that measured it."""
     found: dict[int, _Found] = {}
     for c in range(2):
         pairs = [(time, run.residual[:, c]) for time, run in zip(times, runs, strict=True)]
@@ -262,23 +256,23 @@ def _families(time: Array, good: NDArray[np.bool_], found: Mapping[int, _Found])
     }
 
 
-def _closer(found: _Found, weights: Array) -> _Found:
+def _refined(found: _Found, weights: Array) -> _Found:
     """Processes closer to those that have weights (g,); oscillators are close already."""
     if not isinstance(found, ar.ARCandidates) or len(found.first) < 2:
         return found
     places = np.arctanh(found.first)
     mean = float(weights @ places)
     std = math.sqrt(float(weights @ (places - mean) ** 2))
-    half = max(REACH * std, float(places[1] - places[0]))
+    half = max(GRID_HALF_WIDTH * std, float(places[1] - places[0]))
     return found.within(mean - half, mean + half)
 
 
-def _closer_ratios(found: Posterior) -> Array:
+def _refined_ratios(found: Posterior) -> Array:
     """Ratios closer to those that have weight."""
     weights = found.weights.sum(axis=(0, 1))
     if len(weights) < 2:
         return found.ratios
     mean = float(weights @ found.ratios)
     std = math.sqrt(float(weights @ (found.ratios - mean) ** 2))
-    half = max(REACH * std, 0.5 * float(found.ratios[1] - found.ratios[0]))
+    half = max(GRID_HALF_WIDTH * std, 0.5 * float(found.ratios[1] - found.ratios[0]))
     return mean + half * np.linspace(-1.0, 1.0, len(weights))

@@ -1,4 +1,4 @@
-"""What is to be found from several free responses, and what was found.
+"""Pooled problems: several free responses with own and shared unknowns, and their solutions.
 
 Unknowns are of each run or shared by all runs; a prediction is linear in some, and shaped by others: numbers
 of the bicycle and parameters of a run such as `speed`.
@@ -48,7 +48,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class PooledProblem:
-    """What is to be found from several runs, and what is known."""
+    """Unknowns of several runs, with fixed values and priors."""
 
     runs: tuple[Run, ...]
     linear: tuple[str, ...] = ()  # shared, of LINEAR
@@ -86,7 +86,7 @@ class PooledProblem:
 
 @dataclass(frozen=True, eq=False)
 class PooledSolution:
-    """What was found. Values are empty when the status is not_observable."""
+    """Solution of a pooled problem; without values where the status is not_observable."""
 
     problem: PooledProblem
     status: Status

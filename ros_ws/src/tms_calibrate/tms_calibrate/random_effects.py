@@ -1,4 +1,4 @@
-"""Mean over runs that differ by more than their standard errors: the random-effects model of meta-analysis.
+"""Random-effects model of meta-analysis: mean over runs that differ by more than their standard errors.
 
 A value y_i with standard error s_i was found in each of k runs; its true value varies from run to run with a
 standard deviation tau about the mean. Cochran's Q asks whether tau may be 0, I2 = (Q - (k - 1)) / Q says

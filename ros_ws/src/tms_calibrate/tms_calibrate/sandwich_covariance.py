@@ -1,4 +1,4 @@
-"""What autoregressive noise does to values found by least squares: their own covariance, no other's.
+"""Sandwich (robust) covariance of least-squares estimates under autoregressive noise.
 
     cov b = (J'J)^-1 J' V J (J'J)^-1,   V averaged over what the noise may be
 

@@ -19,7 +19,7 @@ from tms_model import Bicycle
 from tms_fit.diagnostics.residual_tests import SIGNIFICANCE_LEVEL, probability
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
-from tms_fit.least_squares.model_selection import choose
+from tms_fit.least_squares.model_selection import specify_model
 from tms_fit.noise import ar
 from tms_fit.noise.ar_process import ARChannelNoise, grid_places
 from tms_fit.noise.colored import ColoredNoise
@@ -40,8 +40,8 @@ class HypothesisTest:
     value: float  # by the wider model, SI
     std: float
     assumed: float  # by the hypothesis
-    statistic: float  # (value - assumed) / std; NaN where the data can't decide
-    p_value: float  # NaN where the data can't decide
+    statistic: float  # (value - assumed) / std; NaN where the data can't select_model
+    p_value: float  # NaN where the data can't select_model
     delta_aic: float  # of the wider model less that of the narrower; negative favours the wider
     delta_bic: float
     sentence: str
@@ -57,7 +57,7 @@ def run_hypothesis_tests(window: Window, settings: Settings) -> tuple[Hypothesis
 
     Parameters that the data alone would free are tested here, so they are not freed beforehand.
     """
-    settings = replace(settings, free=choose(window, settings).free)
+    settings = replace(settings, free=specify_model(window, settings).free)
     narrow = fit_window(window, settings)
     if not narrow.names:
         return ()

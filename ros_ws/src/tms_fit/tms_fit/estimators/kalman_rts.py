@@ -14,12 +14,12 @@ from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
 from tms_fit.estimate import Estimate, Status
-from tms_fit.estimators.least_squares import decide, fit_model
+from tms_fit.estimators.least_squares import fit_model, select_model
 from tms_fit.kalman.rts import smooth, smoothed_start
 from tms_fit.kalman.state_space import STATES, StateSpace
 from tms_fit.kalman.transition_cache import TransitionCache
 from tms_fit.least_squares.make_estimate import in_order, variance_accounted_for
-from tms_fit.least_squares.model_selection import ModelSpec, choose
+from tms_fit.least_squares.model_selection import ModelSpec, specify_model
 from tms_fit.least_squares.problem import Problem
 from tms_fit.parameters import BIASES, FRICTION, INITIAL, SLIP, shaping
 from tms_fit.response.discretization import Transitions, as_ridden, discretize, known_values
@@ -40,11 +40,11 @@ def estimate(
     The free parameters are selected as for `least_squares`. acceleration_noise [rad/s^2/sqrt(Hz)]: density of
     white disturbances of lean and steer acceleration.
     """
-    decided, _ = decide(window, settings)
+    decided, _ = select_model(window, settings)
     settings = replace(
         settings, free=decided.free, noise="white", oscillator=(), loss="squares", saturation="drop"
     )
-    choice = replace(choose(window, settings), words=decided.words, reasons=decided.reasons)
+    choice = replace(specify_model(window, settings), words=decided.words, reasons=decided.reasons)
     squares = fit_model("kalman_rts", choice, settings)
     if not _is_smoothable(choice, settings):
         return replace(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_model
-from tms_fit.least_squares.model_selection import choose
+from tms_fit.least_squares.model_selection import specify_model
 from tms_fit.parameters import LINEAR
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
@@ -37,7 +37,7 @@ def estimate(window: Window, settings: Settings) -> Estimate:
         oscillator=(),
         loss="squares",
     )
-    answer = fit_model("som2011", choose(constant, plain), plain)
+    answer = fit_model("som2011", specify_model(constant, plain), plain)
     if answer.status != "ok":
         return answer
     words = answer.message.replace("linear least squares", "least squares as in 2011")

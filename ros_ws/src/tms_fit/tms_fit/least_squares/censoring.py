@@ -1,4 +1,4 @@
-"""Saturated samples: a sensor at its limit says that the rate was at least so large.
+"""Censored (Tobit) regression of saturated samples: the rate was at least as large as the sensor's limit.
 
 Tobit's likelihood is concave. Newton's method makes it a sequence of weighted least squares: each saturated
 sample stands at a working value beyond its limit, with the share of information that is left in it as its

@@ -1,13 +1,13 @@
-"""95 % intervals of a fit by other ways than its covariance.
+"""Confidence intervals by profile likelihood and by block bootstrap.
 
-`profile`: how much worse the fit becomes with one parameter held elsewhere and all others found anew. That
-bends with the model; close to the estimate it is made to agree with the stated standard error, which holds
-what else is uncertain (coloured noise, speed, the strike's instant). For a response that is linear in its
-parameters it is the interval by the covariance.
+`profile`: the increase of the sum of squares with one parameter fixed and all others fitted again. It is
+scaled to agree, close to the estimate, with the stated standard error, which includes other uncertainty
+(autocorrelated noise, speed, strike time). For a response that is linear in its parameters it is the interval
+by the covariance.
 
-`bootstrap`: residuals, drawn anew in blocks and added to the prediction, are fitted again by one Gauss-Newton
-step each; what else is uncertain is drawn along. It assumes no distribution, but asks for a window of many
-blocks: noise that remembers longer than a block is underestimated.
+`bootstrap`: residuals, resampled in blocks and added to the prediction, are fitted again by one Gauss-Newton
+step each, with nuisance parameters drawn from their distribution. It assumes no distribution, but needs a
+window of many blocks: noise that is correlated over more than a block is underestimated.
 
 References: D. M. Bates and D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley (1988),
 doi 10.1002/9780470316757, section 6.1 (profile t); H. R. Kuensch, Ann. Statist. 17 (1989), doi
@@ -26,22 +26,22 @@ from tms_model.bicycle import Array
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.irls import Fitted, fit_problem
 from tms_fit.least_squares.losses import Loss
-from tms_fit.least_squares.model_selection import choose
+from tms_fit.least_squares.model_selection import specify_model
 from tms_fit.least_squares.nuisance import nuisance_covariance
 from tms_fit.least_squares.problem import Problem, solve
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
-FARTHEST = 8.0  # standard errors from the estimate in which an end is looked for
-CURVE = 21  # points of a profile
+MAX_DISTANCE = 8.0  # standard errors from the estimate within which an end is searched
+PROFILE_POINTS = 21
 REPLICATES = 2000
-BLOCK = 0.25  # [s]
+BLOCK_S = 0.25
 SEED = 2011
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """How far the fit is from its best with one parameter held: t of the held value, signed."""
+    """Profile t of one parameter: signed distance of the fit from its best with that parameter fixed."""
 
     name: str
     values: Array  # (n,) of the parameter, ascending
@@ -50,7 +50,7 @@ class Profile:
 
 
 def with_intervals(window: Window, estimate: Estimate, settings: Settings) -> Estimate:
-    """The estimate with its 95 % intervals by the way that the settings name."""
+    """The estimate with its 95 % intervals by the method of the settings."""
     if settings.intervals == "wald" or estimate.status != "ok":
         return estimate
     if settings.intervals == "profile":
@@ -64,7 +64,7 @@ def with_intervals(window: Window, estimate: Estimate, settings: Settings) -> Es
 
 def profile(window: Window, estimate: Estimate, settings: Settings, name: str) -> Profile:
     """Profile of one of the estimate's parameters."""
-    problem, fitted = _again(window, estimate, settings)
+    problem, fitted = _solved_again(window, estimate, settings)
     value, std = estimate.parameters[name], float(estimate.std[estimate.names.index(name)])
     distance = _distance(problem, fitted, name, value)
     step = 0.05 * std
@@ -74,14 +74,14 @@ def profile(window: Window, estimate: Estimate, settings: Settings, name: str) -
         return distance(held) / (slope * std)
 
     ends = tuple(_end(t, value, side * std, estimate.quantile) for side in (-1.0, 1.0))
-    reach = [min(abs(end - value), FARTHEST * std) for end in ends]
-    values = value + np.linspace(-1.3 * reach[0], 1.3 * reach[1], CURVE)
+    reach = [min(abs(end - value), MAX_DISTANCE * std) for end in ends]
+    values = value + np.linspace(-1.3 * reach[0], 1.3 * reach[1], PROFILE_POINTS)
     return Profile(name, values, np.array([t(float(one)) for one in values]), (ends[0], ends[1]))
 
 
 def bootstrap(window: Window, estimate: Estimate, settings: Settings, rng: np.random.Generator) -> Array:
-    """Errors (REPLICATES, p) of estimates from residuals drawn anew, in the order of the estimate's names."""
-    problem, fitted = _again(window, estimate, settings)
+    """Errors (REPLICATES, p) of estimates from resampled residuals, in the order of the estimate's names."""
+    problem, fitted = _solved_again(window, estimate, settings)
     solution = fitted.solution
     residual = problem.window.measured - problem.predicted(solution.values)
     good = np.isfinite(residual)
@@ -96,12 +96,12 @@ def bootstrap(window: Window, estimate: Estimate, settings: Settings, rng: np.ra
     return answer
 
 
-def _again(window: Window, estimate: Estimate, settings: Settings) -> tuple[Problem, Fitted]:
+def _solved_again(window: Window, estimate: Estimate, settings: Settings) -> tuple[Problem, Fitted]:
     """The problem of an estimate, and its solution under the noise that was found."""
     asked = replace(settings, free=estimate.names, noise=estimate.noise_model, loss=estimate.loss)
     if asked.noise != "oscillator":
         asked = replace(asked, oscillator=())
-    problem = choose(window, asked).problem
+    problem = specify_model(window, asked).problem
     return problem, fit_problem(problem, asked.noise, Loss(asked.loss), asked.oscillator)
 
 
@@ -136,7 +136,7 @@ def _distance(problem: Problem, fitted: Fitted, name: str, value: float) -> Call
 def _end(t: Callable[[float], float], value: float, std: float, quantile: float) -> float:
     """Where |t| reaches the quantile on one side (std with its sign); infinite where it doesn't."""
     last = value
-    for far in np.arange(1.0, FARTHEST + 0.5):
+    for far in np.arange(1.0, MAX_DISTANCE + 0.5):
         now = value + far * std
         reached = abs(t(now))
         if not math.isfinite(reached):
@@ -150,12 +150,12 @@ def _end(t: Callable[[float], float], value: float, std: float, quantile: float)
 
 
 def _blocks(time: Array, residual: Array, rng: np.random.Generator) -> Array:
-    """Residuals (REPLICATES, n, 2), drawn in blocks of BLOCK seconds; NaN stays where nothing was measured.
+    """Residuals (REPLICATES, n, 2), drawn in blocks of BLOCK_S; NaN stays where nothing was measured.
 
     Where a block brings nothing for a measured sample, a residual of that channel is drawn by itself.
     """
     count = len(time)
-    length = max(1, min(round(BLOCK * (count - 1) / max(float(time[-1] - time[0]), 1e-9)), count))
+    length = max(1, min(round(BLOCK_S * (count - 1) / max(float(time[-1] - time[0]), 1e-9)), count))
     starts = rng.integers(0, count - length + 1, (REPLICATES, -(-count // length)))
     index = (starts[:, :, None] + np.arange(length)).reshape(REPLICATES, -1)[:, :count]
     drawn: Array = residual[index]

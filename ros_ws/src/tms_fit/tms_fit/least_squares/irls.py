@@ -1,4 +1,4 @@
-"""Parameters, noise, weights of outliers and saturated samples: each in the light of the others, in turn."""
+"""Iteratively reweighted least squares over parameters, noise model, robust weights and censored samples."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from tms_fit.parameters import shaping
 from tms_fit.response.prediction import derivative
 from tms_fit.window import Window
 
-ROUNDS = 60  # at most
-FINEST = 1e-4  # largest residual, per largest rate, below which it is no noise: gyroscopes measure no better
+MAX_ROUNDS = 60
+SMALLEST_NOISE = 1e-4  # residual per largest rate up to which it is rounding: no gyroscope is as exact
 STD_STEPS, STD_SETTLED = 200, 1e-6  # of the noise's deviation beside saturated samples: at most, last change
-SETTLED = 1e-4  # change of the parameters, in standard errors, that ends the rounds
+TOLERANCE = 1e-4  # last change of the parameters, in standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
         if judged:
             outliers = outlier_count(window.measured - problem.predicted(solution.values))
         loss = Loss("huber" if outliers else "squares")
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if solution.status == "not_observable":
             break
         residual = problem.window.measured - problem.predicted(solution.values)
@@ -74,8 +74,8 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
     if solution.status != "not_observable":
         solution = _with_covariance(problem, solution, noise, loss, limits)
     if noise_model == "auto" and known == "ar" and loss.name == "squares":
-        # Coloured residuals are more often a wrong model than a coloured noise: the values stay those that
-        # explain most of the measurement.
+        # Autocorrelated residuals are more often due to a wrong model than to such noise: the values are
+        # those of least squares.
         solution = replace(solution, values=plain.values)
     return Fitted(solution, noise, known, loss.name, outliers)
 
@@ -88,7 +88,7 @@ def _plain(problem: Problem, noise_model: str) -> ProblemSolution:
 
 
 def _judged(problem: Problem, solution: ProblemSolution) -> bool:
-    """Whether residuals are more than rounding, so that they say something about the noise."""
+    """Whether residuals exceed rounding, so that a noise model can be estimated from them."""
     if solution.status == "not_observable":
         return False
     measured = problem.window.measured
@@ -98,11 +98,11 @@ def _judged(problem: Problem, solution: ProblemSolution) -> bool:
 def only_rounding(measured: Array, residual: Array) -> bool:
     """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; both (n, 2)."""
     largest = np.nanmax(np.abs(measured), initial=0.0)
-    return bool(np.nanmax(np.abs(residual), initial=0.0) <= FINEST * largest)
+    return bool(np.nanmax(np.abs(residual), initial=0.0) <= SMALLEST_NOISE * largest)
 
 
 def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
-    """Whether one round is enough: nothing that was found changes what is best."""
+    """Whether one round is enough: the weights do not change the solution."""
     if loss.name != "squares" or limits is not None:
         return False
     return not problem.priors if noise_model == "white" else not problem.nonlinear
@@ -170,7 +170,7 @@ def _with_covariance(
 def _averaged(
     problem: Problem, solution: ProblemSolution, noise: ColoredNoise, residual: Array
 ) -> ProblemSolution:
-    """Parameters and covariance averaged over what coloured noise may be."""
+    """Parameters and covariance averaged over the candidates of the noise model."""
     count = len(noise.rows(residual))  # the priors' rows come last
     prior = solution.jacobian[count:], solution.rows[count:]
     shift, covariance = noise.average(residual, solution.channels, prior)
@@ -195,30 +195,30 @@ def _likelier(
 
 
 def _fitted(problem: Problem, solution: ProblemSolution) -> Array:
-    """Derivatives (n, 2, p) of the prediction by all that was fitted, the start found beforehand too."""
+    """Derivatives (n, 2, p) of the prediction by all fitted parameters, including the strike time."""
     values = problem.values(solution.values)
-    start = by_start(problem.window, values, values)
+    start = strike_time_slope(problem.window, values, values)
     return (
         solution.channels if start is None else np.concatenate([solution.channels, start[:, :, None]], axis=2)
     )
 
 
-def by_start(window: Window, told: Collection[str], values: Mapping[str, float]) -> Array | None:
-    """Change (n, 2) of the prediction by a start that was found beforehand; None where it wasn't.
+def strike_time_slope(window: Window, given: Collection[str], values: Mapping[str, float]) -> Array | None:
+    """Derivative (n, 2) of the prediction by a strike time estimated beforehand; None where it is exact.
 
-    told: names of what is free or fixed; values of all parameters.
+    given: names of free and fixed parameters; values of all parameters.
     """
-    if not window.delay_std or "strike_time" in told:
+    if not window.delay_std or "strike_time" in given:
         return None
     return derivative(window, shaping(values), "strike_time").predict(values)
 
 
 def _same(before: ProblemSolution, after: ProblemSolution) -> bool:
-    """Whether two solutions are one, as far as anybody can tell."""
+    """Whether two solutions agree to TOLERANCE standard errors."""
     if "not_observable" in (before.status, after.status):
         return True
     std = np.sqrt(np.diag(after.inverse))
-    return bool((np.abs(after.values - before.values) <= SETTLED * std).all())
+    return bool((np.abs(after.values - before.values) <= TOLERANCE * std).all())
 
 
 @dataclass(frozen=True, eq=False)

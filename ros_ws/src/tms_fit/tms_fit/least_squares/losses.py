@@ -1,4 +1,4 @@
-"""How much a residual counts: least squares, or a loss that outliers can't pull.
+"""Robust losses: weights of residuals, and covariance of M-estimators.
 
 A loss is given by psi, the derivative of the cost of a standardised residual u: psi(u) / u is the weight in
 iteratively reweighted least squares. The covariance is that of an M-estimator,

@@ -1,4 +1,4 @@
-"""From a solution to an estimate with uncertainty, likelihood and a plain sentence."""
+"""Estimates from solutions: uncertainty, goodness of fit, likelihood and message."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from tms_fit.response.discretization import known_values, speeds_at
 from tms_fit.settings import Settings
 from tms_fit.window import Window, without_saturated
 
-LEAST_SAMPLES = 10  # scalar measurements beyond the number of unknowns
-LEAST_SPAN = 0.25  # [s]
+MIN_SPARE_SAMPLES = 10  # scalar measurements beyond the number of unknowns
+MIN_SPAN_S = 0.25  # [s]
 COLOURED = 0.3  # lag-one autocorrelation of the residuals above which they are called coloured
 
 
-def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> Estimate:
-    """The estimate that a solution amounts to, under an estimator's name.
+def make_estimate(name: str, model: ModelSpec, fitted: Fitted, settings: Settings) -> Estimate:
+    """The estimate of a solved model, under an estimator's name.
 
     The covariance holds the uncertainty of the speed, and of the strike's instant between two samples, where
     the window states them.
     """
-    problem, solution, noise = choice.problem, fitted.solution, fitted.noise
+    problem, solution, noise = model.problem, fitted.solution, fitted.noise
     if solution.status == "not_observable":
         return Estimate(name, Status(solution.status.value), solution.message, settings=settings)
     covariance = solution.inverse
@@ -49,7 +49,7 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
     autocorrelation = lag_one_autocorrelation(innovations)
     degrees, count = degrees_of_freedom(problem), int(np.isfinite(window.measured).sum())
     seen = degrees - (count - int(np.isfinite(residual).sum()))
-    text = _in_words(choice, fitted, settings, autocorrelation)
+    text = _message(model, fitted, settings, autocorrelation)
     return Estimate(
         estimator=name,
         status=Status(solution.status.value),
@@ -70,7 +70,7 @@ def answer(name: str, choice: ModelSpec, fitted: Fitted, settings: Settings) -> 
         noise=noise.parameters,
         noise_model=fitted.noise_model,
         loss=fitted.loss,
-        chosen=(*choice.reasons, *_reasons(fitted, settings)),
+        chosen=(*model.reasons, *_reasons(fitted, settings)),
         log_likelihood=_log_likelihood(noise, window, predicted),
         unknown_count=len(problem.names) + len(noise.parameters),
         settings=settings,
@@ -92,7 +92,7 @@ def in_order(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
 
 
 def degrees_of_freedom(problem: Problem) -> int:
-    """Measurements, those that a prior stands for included, less unknowns."""
+    """Number of measurements and priors less that of unknowns."""
     count = int(np.isfinite(problem.window.measured).sum()) + len(problem.priors)
     between = problem.window.delay_std and "strike_time" not in problem.names
     return count - len(problem.names) - (1 if between else 0)
@@ -103,22 +103,22 @@ def too_short(problem: Problem) -> str:
     window, unknowns = problem.window, len(problem.names)
     count = int(np.isfinite(window.measured).sum())
     span = float(window.time[-1]) if len(window.time) else 0.0
-    if span < LEAST_SPAN or count < unknowns + LEAST_SAMPLES:
+    if span < MIN_SPAN_S or count < unknowns + MIN_SPARE_SAMPLES:
         return (
-            f"expected at least {LEAST_SPAN} s and {unknowns + LEAST_SAMPLES} measurements after the strike"
-            f" for {unknowns} unknowns, found {span:.3f} s and {count}"
+            f"expected at least {MIN_SPAN_S} s and {unknowns + MIN_SPARE_SAMPLES} measurements after the"
+            f" strike for {unknowns} unknowns, found {span:.3f} s and {count}"
         )
     return ""
 
 
 def variance_accounted_for(window: Window, predicted: Array) -> dict[str, float]:
     """VAF = 1 - var(measured - predicted) / var(measured) for each channel that was measured."""
-    answer = {}
+    found = {}
     for channel, measured, model in zip(CHANNELS, window.measured.T, predicted.T, strict=True):
         good = np.isfinite(measured)
         if good.sum() > 1 and np.var(measured[good]) > 0.0:
-            answer[channel] = float(1.0 - np.var(measured[good] - model[good]) / np.var(measured[good]))
-    return answer
+            found[channel] = float(1.0 - np.var(measured[good] - model[good]) / np.var(measured[good]))
+    return found
 
 
 def lag_one_autocorrelation(residual: Array) -> float:
@@ -164,18 +164,18 @@ def _known(problem: Problem, solution: ProblemSolution) -> dict[str, float]:
     return {name: value for name, value in known.items() if name not in problem.names}
 
 
-def _in_words(choice: ModelSpec, fitted: Fitted, settings: Settings, autocorrelation: float) -> str:
-    """What was done, and what deserves distrust."""
-    window = choice.problem.window
-    method = "least squares" if choice.problem.nonlinear else "linear least squares"
+def _message(model: ModelSpec, fitted: Fitted, settings: Settings, autocorrelation: float) -> str:
+    """The message: method, data, selections and warnings."""
+    window = model.problem.window
+    method = "least squares" if model.problem.nonlinear else "linear least squares"
     if fitted.loss != "squares":
         method = {"huber": "Huber's loss", "student_t": "Student's t loss"}[fitted.loss]
     used = " and ".join(_measured_channels(window))
-    text = f"{method} on {used} over {window.time[-1]:.2f} s{choice.words}"
-    told = _reasons(fitted, settings)
+    text = f"{method} on {used} over {window.time[-1]:.2f} s{model.words}"
+    reasons = _reasons(fitted, settings)
     if fitted.noise_model != "white" and settings.noise != "auto":
-        told = (*told, f"the noise is taken as {_kind(fitted)}, and the interval with it")
-    text = "; ".join((text, *told))
+        reasons = (*reasons, f"the noise is taken as {_kind(fitted)}, and the interval with it")
+    text = "; ".join((text, *reasons))
     if fitted.noise_model == "white" and autocorrelation > COLOURED:
         text += (
             f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
@@ -185,17 +185,17 @@ def _in_words(choice: ModelSpec, fitted: Fitted, settings: Settings, autocorrela
 
 
 def _reasons(fitted: Fitted, settings: Settings) -> tuple[str, ...]:
-    """What the residuals decided about loss and noise."""
-    told = []
+    """Selections of loss and noise model by the residuals, a phrase each."""
+    reasons = []
     if fitted.outliers:
         few = "1 sample stands" if fitted.outliers == 1 else f"{fitted.outliers} samples stand"
-        told.append(f"{few} apart from the neighbours, so outliers count less")
+        reasons.append(f"{few} apart from the neighbours, so outliers count less")
     if fitted.noise_model != "white" and settings.noise == "auto":
-        told.append(
+        reasons.append(
             f"neighbouring residuals are alike, so the noise is taken as {_kind(fitted)}, and the interval"
             " with it"
         )
-    return tuple(told)
+    return tuple(reasons)
 
 
 def _kind(fitted: Fitted) -> str:

@@ -1,4 +1,4 @@
-"""What a fit does where its settings leave it open: chosen from the window, and said in words."""
+"""Model selection: the parameters that a fit frees where its settings leave them open, and the reasons."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tms_fit.settings import Settings
 from tms_fit.speed_profile import SPEED_STALE_AFTER_S, constant_speed
 from tms_fit.window import Window, with_channels, without_saturated
 
-FALLING = {"speed", "rolling_resistance"}
-LONG = 2.0  # [s] window from which on a falling speed shows in the rates alone
-UNSTEADY = (("initial_steer_rate",), ("initial_steer_rate", "initial_lean", "initial_steer"))
+COASTING = {"speed", "rolling_resistance"}
+LONG_WINDOW_S = 2.0  # [s] window from which on a falling speed shows in the rates alone
+DISTURBED_STARTS = (("initial_steer_rate",), ("initial_steer_rate", "initial_lean", "initial_steer"))
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSpec:
-    """A problem to be solved, and what was decided to come to it."""
+    """A problem to be solved, with the selections that led to it."""
 
     problem: Problem
     free: tuple[str, ...]  # in the order asked for
@@ -32,8 +32,8 @@ class ModelSpec:
     coasting: str = ""  # that of them why a rolling resistance is found
 
 
-def choose(window: Window, settings: Settings) -> ModelSpec:
-    """The problem that settings pose in this window."""
+def specify_model(window: Window, settings: Settings) -> ModelSpec:
+    """The model that settings specify for a window, before any evidence from a fit."""
     window = with_channels(window, settings.channels)
     words = [_about_slip(window, settings)]
     if settings.slip_window:
@@ -47,7 +47,7 @@ def choose(window: Window, settings: Settings) -> ModelSpec:
     words.append(_about_saturation(saturated, settings))
     free, known = _free(window, settings), dict(settings.fixed)
     words.append(_about_speed(window, {*free, *known}))
-    why = _coasting(window, settings)
+    why = _coasting_reason(window, settings)
     return ModelSpec(
         problem=_problem(window, free, known, settings),
         free=free,
@@ -58,8 +58,8 @@ def choose(window: Window, settings: Settings) -> ModelSpec:
     )
 
 
-def _coasting(window: Window, settings: Settings) -> str:
-    """Why a rolling resistance is found that nobody asked for; an empty text: it isn't."""
+def _coasting_reason(window: Window, settings: Settings) -> str:
+    """Why the rolling resistance is freed without being asked for; empty where it isn't."""
     asked = settings.free is not None or settings.speed_model != "auto"
     given = {"rolling_resistance"} & {*settings.fixed, *settings.priors}
     if asked or given or not window.speed.extrapolated:
@@ -70,41 +70,41 @@ def _coasting(window: Window, settings: Settings) -> str:
     return "rolling resistance found because the speed was not measured over the window"
 
 
-def without_resistance(choice: ModelSpec, settings: Settings) -> ModelSpec:
-    """The same with the measured speed all along, instead of a rolling resistance that nobody asked for."""
-    window, curve = choice.problem.window, choice.problem.window.speed
+def at_measured_speed(model: ModelSpec, settings: Settings) -> ModelSpec:
+    """The same model at the measured speed throughout, without the freed rolling resistance."""
+    window, curve = model.problem.window, model.problem.window.speed
     constant = constant_speed(float(curve.coefficients[0]), curve.std, measured=True)
-    found = {"rolling_resistance"} if not curve.is_stale or "speed" in settings.priors else FALLING
-    free = tuple(name for name in choice.free if name not in found)
+    found = {"rolling_resistance"} if not curve.is_stale or "speed" in settings.priors else COASTING
+    free = tuple(name for name in model.free if name not in found)
     problem = _problem(replace(window, speed=constant), free, dict(settings.fixed), settings)
-    return replace(choice, problem=problem, free=free)
+    return replace(model, problem=problem, free=free)
 
 
-def at_found(choice: ModelSpec, estimate: Estimate) -> ModelSpec:
-    """The same with what shapes the response held at the values of an estimate."""
-    problem = choice.problem
-    held = {name: estimate.parameters[name] for name in problem.nonlinear}
-    priors = {name: prior for name, prior in problem.priors.items() if name not in held}
+def with_nonlinear_fixed(model: ModelSpec, estimate: Estimate) -> ModelSpec:
+    """The same model with its nonlinear parameters fixed at the values of an estimate."""
+    problem = model.problem
+    fixed = {name: estimate.parameters[name] for name in problem.nonlinear}
+    priors = {name: prior for name, prior in problem.priors.items() if name not in fixed}
     return replace(
-        choice, problem=replace(problem, nonlinear=(), known={**problem.known, **held}, priors=priors)
+        model, problem=replace(problem, nonlinear=(), known={**problem.known, **fixed}, priors=priors)
     )
 
 
-def decelerating(choice: ModelSpec, settings: Settings) -> ModelSpec | None:
-    """The same with speed and rolling resistance free, if nothing speaks for or against a constant speed."""
-    window = choice.problem.window
+def with_falling_speed(model: ModelSpec, settings: Settings) -> ModelSpec | None:
+    """The same model with speed and rolling resistance free; None where the speed is known or asked for."""
+    window = model.problem.window
     asked = settings.free is not None or settings.speed_model != "auto"
-    if asked or window.speed.measured or len(window.time) < 2 or window.time[-1] < LONG:
+    if asked or window.speed.measured or len(window.time) < 2 or window.time[-1] < LONG_WINDOW_S:
         return None
-    if FALLING & {*settings.fixed, *choice.free}:
+    if COASTING & {*settings.fixed, *model.free}:
         return None
-    free = (*choice.free, "speed", "rolling_resistance")
+    free = (*model.free, "speed", "rolling_resistance")
     why = "speed and rolling resistance found because a constant speed is far less likely"
-    return _more(choice, free, why, settings)
+    return _with_free(model, free, why, settings)
 
 
-def unsteady(choice: ModelSpec, settings: Settings) -> list[ModelSpec]:
-    """The same with a steer rate at the start, and lean and steer beside it, if nobody said what is free.
+def with_disturbed_start(model: ModelSpec, settings: Settings) -> list[ModelSpec]:
+    """The same model with a steer rate at the start free, and with lean and steer, unless `free` is set.
 
     A strike that also kicks the steering, or ends before the wheels roll again, leaves the bicycle so. Where
     the rolling resistance is found, too, a steer rate alone isn't tried: with a resistance that is off it may
@@ -112,26 +112,26 @@ def unsteady(choice: ModelSpec, settings: Settings) -> list[ModelSpec]:
     """
     if settings.free is not None:
         return []
-    taken = {*settings.fixed, *choice.free}
+    taken = {*settings.fixed, *model.free}
     rivals: list[ModelSpec] = []
-    for names in UNSTEADY[-1:] if choice.coasting else UNSTEADY:
+    for names in DISTURBED_STARTS[-1:] if model.coasting else DISTURBED_STARTS:
         more = tuple(name for name in names if name not in taken)
-        free = (*choice.free, *more)
+        free = (*model.free, *more)
         if not more or (rivals and rivals[-1].free == free):
             continue
         why = f"{_listed(more)} found because a start without is far less likely"
-        rivals.append(_more(choice, free, why, settings))
+        rivals.append(_with_free(model, free, why, settings))
     return rivals
 
 
-def _more(choice: ModelSpec, free: tuple[str, ...], why: str, settings: Settings) -> ModelSpec:
-    """The choice with more free, for a reason."""
+def _with_free(model: ModelSpec, free: tuple[str, ...], why: str, settings: Settings) -> ModelSpec:
+    """The model with more free parameters, for a reason."""
     return replace(
-        choice,
-        problem=_problem(choice.problem.window, free, dict(settings.fixed), settings),
+        model,
+        problem=_problem(model.problem.window, free, dict(settings.fixed), settings),
         free=free,
-        words=f"{choice.words}, {why}",
-        reasons=(*choice.reasons, why),
+        words=f"{model.words}, {why}",
+        reasons=(*model.reasons, why),
     )
 
 
@@ -143,19 +143,18 @@ def _listed(names: tuple[str, ...]) -> str:
 def _problem(window: Window, free: tuple[str, ...], known: dict[str, float], settings: Settings) -> Problem:
     rubbing = FRICTION in {*free, *known}
     linear = tuple(name for name in free if name in LINEAR and not (rubbing and name in INITIAL))
+    priors = {**_floor_priors(window), **settings.priors}
     return Problem(
         window=window,
         linear=linear,
         nonlinear=tuple(name for name in free if name not in linear),
         known=known,
-        priors={
-            name: prior for name, prior in {**_of_floors(window), **settings.priors}.items() if name in free
-        },
+        priors={name: prior for name, prior in priors.items() if name in free},
     )
 
 
-def _of_floors(window: Window) -> dict[str, tuple[float, float]]:
-    """What is known of the rolling resistance where the speed wasn't measured over the window."""
+def _floor_priors(window: Window) -> dict[str, tuple[float, float]]:
+    """Prior of the rolling resistance where the speed wasn't measured over the window."""
     if not window.speed.extrapolated:
         return {}
     loss = coasting_loss(window.bicycle)
@@ -164,7 +163,7 @@ def _of_floors(window: Window) -> dict[str, tuple[float, float]]:
 
 
 def _without_slip(window: Window, seconds: float) -> Window:
-    """The window without what was measured in its first seconds."""
+    """The window without the samples of its first seconds."""
     kept = window.time + window.delay >= seconds
     return replace(
         window,
@@ -174,7 +173,7 @@ def _without_slip(window: Window, seconds: float) -> Window:
 
 
 def _about_speed(window: Window, names: set[str]) -> str:
-    """What the speed is taken for; names: what is free or fixed."""
+    """How the speed is modelled, in words; names: free and fixed parameters."""
     curve = window.speed
     since = ""
     if curve.extrapolated and "speed" not in names:
@@ -186,7 +185,7 @@ def _about_speed(window: Window, names: set[str]) -> str:
     if "rolling_resistance" in names:
         return f", speed falling by rolling resistance{since}"
     if curve.extrapolated:
-        resistance, std = _of_floors(window)["rolling_resistance"]
+        resistance, std = _floor_priors(window)["rolling_resistance"]
         return f", speed falling as with C_r = {resistance:.3f} +- {std:.3f}{since}"
     return "" if curve.constant else ", speed as measured"
 
@@ -215,7 +214,7 @@ def _free(window: Window, settings: Settings) -> tuple[str, ...]:
         ]
         free = [name for name in DEFAULT_FREE if name not in absent and name not in settings.fixed]
         free += [name for name in settings.priors if name not in free]
-        coasts = bool(_coasting(window, settings))
+        coasts = bool(_coasting_reason(window, settings))
         if coasts and window.speed.is_stale and "speed" not in free:
             free.append("speed")
         falling = settings.speed_model == "decelerating" or coasts

@@ -1,7 +1,7 @@
-"""What is known but not exactly: how its uncertainty widens the covariance, to first order.
+"""Nuisance parameters: first-order effect of uncertain known quantities on the covariance.
 
-The instant of the strike between two samples, the speed as a sensor measured it, and the gain of a feedback
-as a recorded torque shows it, are taken as known for a fit. With D the change of the prediction by such a
+A fit takes as known the strike time between two samples, the measured speed and the gain of a feedback
+estimated from a recorded torque. With D the change of the prediction by such a
 quantity, the solution moves by -(J'J)^-1 J'D, and by what the columns themselves change. The gain is found
 from the same samples, so that its error and that of the solution go together.
 """
@@ -25,10 +25,10 @@ CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, 
 def nuisance_covariance(
     problem: Problem, solution: ProblemSolution, rows: Whitener, white: float = 0.0
 ) -> Array:
-    """What uncertain known quantities add to the covariance (p, p) of a solution.
+    """Covariance (p, p) that uncertain known quantities add to that of a solution.
 
     white [rad/s]: deviation of the noise, where it is white; only then is it known how the gain's error goes
-    with the solution's, else the two are added as if they were strangers.
+    with the solution's, else the two are added as independent.
     """
     added = np.zeros((len(problem.names), len(problem.names)))
     window = problem.window

@@ -1,10 +1,10 @@
-"""Colored noise: an autoregressive process of each channel, as the residuals show it.
+"""Autoregressive noise model, averaged over its first reflection coefficient.
 
     e[t] = r[t] - a_1 r[t-1] - ... - a_p r[t-p], white, of variance s^2
 
-A second and a half of noise that is correlated over a fifth of a second says little about that correlation,
-and the noise parameters of greatest likelihood, taken for the truth, give intervals that are far too narrow.
-So the answer is an average over what the noise may be (`tms_fit.noise.posterior`): the first
+A window of 1.5 s determines the correlation time of noise that is correlated over 0.2 s badly, and intervals
+at the maximum-likelihood noise parameters are far too narrow. So parameters and covariance are averaged over
+candidates of the noise (`tms_fit.noise.posterior`): the first
 reflection coefficient r of each channel, which for order one is the correlation of neighbours, runs over a
 grid with a flat prior in artanh r. Higher coefficients are Burg's, their number has the least BIC.
 """
@@ -23,14 +23,16 @@ from tms_model.bicycle import Array
 from tms_fit.noise.ar_process import ARChannelNoise, burg, grid_places, process
 from tms_fit.noise.colored import ColoredNoise, colored_noise
 
-PLACES = np.linspace(-4.0, 9.0, 21)  # of the grid, in standard errors from Burg's coefficient, in artanh
-CLEAR = 6.0  # fall of BIC from which on residuals are called coloured: once in 500 white channels
-LIMIT = 3.5  # largest artanh of a reflection coefficient: 0.998
+GRID_STD_STEPS = np.linspace(
+    -4.0, 9.0, 21
+)  # of the grid, in standard errors from Burg's coefficient, in artanh
+BIC_MARGIN = 6.0  # fall of BIC from which on residuals are called coloured: once in 500 white channels
+MAX_ARTANH = 3.5  # largest artanh of a reflection coefficient: 0.998
 
 
 @dataclass(frozen=True, eq=False)
 class ARFamily:
-    """Autoregressive processes that a channel's noise may be, each of innovations of deviation one."""
+    """Candidate autoregressive processes of a channel, each with innovations of deviation one."""
 
     members: tuple[ARChannelNoise, ...]
 
@@ -52,19 +54,19 @@ class ARFamily:
 
 @dataclass(frozen=True, eq=False)
 class ARCandidates:
-    """What the noise of one channel may be."""
+    """Candidates for the noise of one channel."""
 
     first: Array  # (g,) reflection coefficients of order one that are tried, ascending; (0,): white noise
     further: Array  # (p - 1,) those of higher orders
 
     def within(self, low: float, high: float) -> ARCandidates:
         """As many between two values of artanh of the first coefficient."""
-        around = np.clip(np.linspace(low, high, len(PLACES)), -LIMIT, LIMIT)
+        around = np.clip(np.linspace(low, high, len(GRID_STD_STEPS)), -MAX_ARTANH, MAX_ARTANH)
         return ARCandidates(np.unique(np.tanh(around)), self.further)
 
 
 def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
-    """The noise that residuals (n, 2) show, whose fit had the derivatives (n, 2, p)."""
+    """The likeliest noise by residuals (n, 2) of a fit with derivatives (n, 2, p), and its candidates."""
     good = np.isfinite(residual)
     channels = [c for c in range(2) if good[:, c].sum() > 2]
     found = {c: candidates([residual[good[:, c], c]]) for c in channels}
@@ -72,9 +74,9 @@ def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
 
 
 def is_autocorrelated(*residuals: Array) -> bool:
-    """Whether residuals (n, 2) of some channel, of one run or several, are no white noise.
+    """Whether residuals (n, 2) of one run or several are autocorrelated in some channel.
 
-    They are not when BIC falls by more than CLEAR.
+    They are not when BIC falls by more than BIC_MARGIN.
     """
     for c in range(2):
         segments = [residual[np.isfinite(residual[:, c]), c] for residual in residuals]
@@ -83,15 +85,15 @@ def is_autocorrelated(*residuals: Array) -> bool:
             reflections, std = burg(*segments)
             count = sum(len(values) for values in segments)
             fall = -count * math.log(std**2 / float(np.mean(np.concatenate(segments) ** 2)))
-            if fall - len(reflections) * math.log(count) > CLEAR:
+            if fall - len(reflections) * math.log(count) > BIC_MARGIN:
                 return True
     return False
 
 
 def candidates(residuals: Sequence[Array]) -> ARCandidates:
-    """What the noise of a channel may be, by its residuals (n,) in each run; white if they show no memory.
+    """Candidates for the noise of a channel by its residuals (n,) in each run; white without autocorrelation.
 
-    As wide as one run leaves it: the fit of each run makes its residuals remember less than the noise does.
+    As wide as one run leaves it: the fit of each run makes its residuals less correlated than the noise.
     """
     reflections, _ = burg(*residuals)
     if not len(reflections):
@@ -99,7 +101,7 @@ def candidates(residuals: Sequence[Array]) -> ARCandidates:
     first = float(np.clip(reflections[0], -0.99, 0.99))
     count = sum(len(values) for values in residuals) / len(residuals)
     std = 1.0 / math.sqrt(count * (1.0 - first**2))
-    around = np.clip(math.atanh(first) + std * PLACES, -LIMIT, LIMIT)
+    around = np.clip(math.atanh(first) + std * GRID_STD_STEPS, -MAX_ARTANH, MAX_ARTANH)
     return ARCandidates(np.unique(np.tanh(around)), reflections[1:])
 
 

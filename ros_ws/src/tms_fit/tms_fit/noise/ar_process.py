@@ -1,4 +1,4 @@
-"""Autoregressive processes: made white exactly, with samples missing, and found in residuals.
+"""Autoregressive processes: exact whitening with missing samples, autocovariances, estimation by Burg.
 
 References: J. P. Burg, thesis (1975); N. Levinson (1947) and J. Durbin (1960) for the filters of all orders;
 R. H. Jones, Technometrics 22 (1980), doi 10.1080/00401706.1980.10486171, for missing samples.
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
-HIGHEST = 8  # order
+MAX_ORDER = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +26,11 @@ class ARProcess:
 
     @property
     def order(self) -> int:
-        """How many samples it remembers."""
+        """Number of past samples that predict the next."""
         return len(self.filters) - 1
 
     def whiten(self, values: Array) -> Array:
-        """Values (n, ...) at equal steps made white, of variance one, exactly from the first sample on."""
+        """Values (n, ...) at equal steps whitened to variance one, exactly from the first sample on."""
         white = np.array(values)
         for k, weight in enumerate(self.filters[-1]):
             white[self.order :] -= weight * values[self.order - 1 - k : len(values) - 1 - k]
@@ -112,7 +112,7 @@ class ARChannelNoise:
         return found
 
     def _missing(self) -> Array:
-        """What a one at each place without sample becomes (count, missing)."""
+        """Whitened unit impulses (count, missing) at the places without sample."""
         missing = np.setdiff1d(np.arange(self.count), self.places)
         unit = np.zeros((self.count, len(missing)))
         unit[missing, np.arange(len(missing))] = 1.0
@@ -140,7 +140,7 @@ def burg(*segments: Array) -> tuple[Array, float]:
     variance = float(np.mean(np.concatenate(segments) ** 2))
     reflections: list[float] = []
     best, found = math.inf, (np.empty(0), math.sqrt(variance) or 1.0)
-    for order in range(min(HIGHEST, count // 20) + 1):
+    for order in range(min(MAX_ORDER, count // 20) + 1):
         if not variance > 0.0:
             break
         criterion = count * math.log(variance) + order * math.log(count)

@@ -1,7 +1,7 @@
-"""Noise that oscillates, as a shimmy of 20 Hz does: white noise and a stochastic damped oscillator.
+"""Oscillator noise model, as for a shimmy of 20 Hz: white noise and a stochastic damped oscillator.
 
-Frequency, decay time and strength are what the residuals show (or what somebody states); as for
-autoregressive noise the answer is an average over what they may be, on a grid around the likeliest: flat
+Frequency, decay time and strength are estimated from the residuals or stated. As for autoregressive noise,
+parameters are averaged over candidates on a grid around the likeliest: flat
 priors in the frequency and in the logarithms of decay time and strength. A channel whose residuals show no
 oscillation has white noise.
 """
@@ -30,7 +30,7 @@ UNKNOWNS = 3  # of an oscillator, that white noise doesn't have
 
 
 def fit(time: Array, residual: Array, jacobian: Array, stated: Sequence[float] = ()) -> ColoredNoise:
-    """The noise that residuals (n, 2) show, whose fit had the derivatives (n, 2, p).
+    """The likeliest noise by residuals (n, 2) of a fit with derivatives (n, 2, p), and its candidates.
 
     stated: frequency [Hz], decay time [s] and deviation [rad/s] of the oscillator, as many as are known.
     """
@@ -44,7 +44,7 @@ def fit(time: Array, residual: Array, jacobian: Array, stated: Sequence[float] =
 
 
 def candidates(times: Sequence[Array], residuals: Sequence[Array], stated: Sequence[float] = ()) -> Array:
-    """What the noise of a channel may be, by its residuals (n,) at times (n,) in each run.
+    """Candidates for the noise of a channel by its residuals (n,) at times (n,) in each run.
 
     Rows (g, 3) of frequency [Hz], decay time [s] and strength per white noise; one with strength 0, white, if
     that is likelier than the best oscillator.

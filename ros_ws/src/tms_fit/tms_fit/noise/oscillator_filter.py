@@ -1,8 +1,8 @@
-"""A stochastic, lightly damped oscillator under white noise, made white by its Kalman filter.
+"""Kalman filter that whitens a stochastic, lightly damped oscillator under white noise.
 
     z[k] = exp((-1/tau + 2 pi i f) dt) z[k-1] + w[k],   y[k] = Re z[k] + v[k],   var v = 1,  var Re z = s^2
 
-Shimmy is like this: a limit cycle of constant size whose phase wanders, forgotten after tau. The same as
+Shimmy is such a process: a limit cycle of constant size whose phase diffuses within tau. The same as
 `tms_fit.kalman.state_space.with_oscillator` puts into a filter; innovations per root of their variance are
 white, and the sum of the variances' logarithms is that of the determinant (F. C. Schweppe, IEEE Trans. Inf.
 Theory 11 (1965), doi 10.1109/TIT.1965.1053737). Samples at any times; many candidates are filtered at once.
@@ -20,7 +20,7 @@ from tms_model.bicycle import Array
 
 @dataclass(frozen=True, eq=False)
 class Oscillations:
-    """g candidates of what a channel's noise may be, each under white noise of deviation one."""
+    """Candidate oscillators (g) of a channel, each under white noise of deviation one."""
 
     time: Array  # (m,) [s] of the samples, ascending
     frequency: Array  # (g,) [Hz]
@@ -95,7 +95,7 @@ class Oscillations:
 
 @dataclass(frozen=True, eq=False)
 class OscillatorNoise:
-    """One of them, at its size."""
+    """One candidate at its deviation."""
 
     shape: Oscillations  # one candidate
     std: float  # [rad/s] of the white noise

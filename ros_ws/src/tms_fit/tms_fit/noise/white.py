@@ -1,4 +1,4 @@
-"""Noise without memory, of one variance for both channels."""
+"""White noise of one variance for both channels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tms_model.bicycle import Array
 
 @dataclass(frozen=True, eq=False)
 class White:
-    """White noise of one standard deviation on what was measured."""
+    """White noise of one standard deviation on all measured samples."""
 
     good: NDArray[np.bool_]  # (n, 2), measured
     std: float  # [rad/s]

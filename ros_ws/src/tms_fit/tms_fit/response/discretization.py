@@ -1,4 +1,4 @@
-"""How the bicycle of a window gets from one sample to the next: transitions, for any speed over time."""
+"""Discretisation of the bicycle's equations over a window, for any speed over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transitions of a bicycle that slows down evenly, sampled evenly: a curve over the speed, not each anew.
+"""Chebyshev series of the transitions at constant deceleration and constant sampling step.
 
 At one deceleration and one step the transition is an entire function of the speed that the step begins with.
 Its Chebyshev series (L. N. Trefethen, Approximation Theory and Approximation Practice (2013), ch. 3 and 8)
@@ -17,7 +17,7 @@ from tms_model.resistance import Resistance
 from tms_model.varying_speed import transitions_from
 
 TERMS = 20
-LEFT_OUT = 1e-13  # of the largest transition: the series' last terms; above it there is no series
+SERIES_TOLERANCE = 1e-13  # of the largest transition: the series' last terms; above it there is no series
 _ANGLES = (np.arange(TERMS) + 0.5) * (math.pi / TERMS)
 _NODES = np.cos(_ANGLES)
 _COEFFICIENTS = 2.0 / TERMS * np.cos(np.outer(np.arange(TERMS), _ANGLES))
@@ -41,6 +41,6 @@ def even_transitions(
         bicycle, middle + half * _NODES, acceleration * count, step * count, resistance
     ).reshape(TERMS, 25)
     series = _COEFFICIENTS @ known
-    if not np.abs(series[-2:]).max() <= LEFT_OUT * np.abs(series[0]).max():
+    if not np.abs(series[-2:]).max() <= SERIES_TOLERANCE * np.abs(series[0]).max():
         return None
     return (chebvander((speeds - middle) / half, TERMS - 1) @ series).reshape(-1, 5, 5)

@@ -1,4 +1,4 @@
-"""The response of a bicycle whose steering rubs: Coulomb friction in the headset.
+"""Response with Coulomb friction of the steering (headset).
 
     torque = -T clip(steer rate / SMOOTH, -1, 1)
 
@@ -34,7 +34,7 @@ def friction_response(window: Window, values: Mapping[str, float]) -> tuple[Arra
     named = {**known_values(window), **values}
     friction = named[FRICTION]
     times, places = _finer(window.time, named["strike_time"])
-    bicycle, gain = _bare(window, named["lean_rate_gain"])
+    bicycle, gain = _without_torque_gain(window, named["lean_rate_gain"])
     fine = replace(window, bicycle=bicycle, time=times, lean_rate_gain=0.0)
     moved = discretize(fine, {**values, "lean_rate_gain": 0.0})
     known = np.zeros(len(times))
@@ -65,7 +65,7 @@ def _finer(time: Array, start: float) -> tuple[Array, Array]:
     return np.concatenate(parts), np.cumsum(counts) - 1
 
 
-def _bare(window: Window, lean_rate_gain: float) -> tuple[Bicycle, float]:
+def _without_torque_gain(window: Window, lean_rate_gain: float) -> tuple[Bicycle, float]:
     """The bicycle with the run's controller in it, a torque arriving whole, and the share that arrived."""
     ridden = as_ridden(window.bicycle, lean_rate_gain)
     whole = replace(ridden.steer_elements, steer_torque_gain=1.0)

@@ -1,4 +1,4 @@
-"""What the bicycle predicts for the two channels: linear in the initial states and the biases.
+"""Prediction of the two channels, linear in initial states and biases, and its derivatives.
 
 The other parameters (NONLINEAR) shape the columns; derivatives with respect to them are central differences,
 right to 2e-7 of their size (a test compares them with Richardson's extrapolation).
