@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
-from tms_fit.arguments import add_options, settings_of
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.least_squares.losses import LOSSES
 from tms_fit.parameters import INITIAL, PARAMETERS, UNITS
 from tms_fit.settings import OPTIONS, Option, Settings
+from tms_fit.settings_parser import add_options, settings_of
 from tms_model.command_line import Parser
 from tms_model.errors import ParameterError
 from tms_model.response import STATE

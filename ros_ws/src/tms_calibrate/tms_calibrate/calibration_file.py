@@ -10,8 +10,8 @@ from typing import Any
 
 import tms_fit
 from tms_fit.recording_fit import RecordingFit
+from tms_model.atomic_write import atomic_write
 from tms_model.calibrated import Calibrated, calibration_yaml, yaml_text
-from tms_model.whole_file import write_whole
 
 from tms_calibrate.calibration import Calibration
 from tms_calibrate.calibration_output import in_word
@@ -83,4 +83,4 @@ def write_calibration(
     """
     if parent.endswith((".yaml", ".yml", ".txt")):
         parent = os.path.relpath(parent, path.parent)
-    write_whole(path, yaml_text(document_of(calibration, parent, command, recordings)).encode())
+    atomic_write(path, yaml_text(document_of(calibration, parent, command, recordings)).encode())

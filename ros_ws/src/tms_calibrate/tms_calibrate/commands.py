@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tms_bag.errors import RecordingError
-from tms_fit.arguments import add_options, each_once, names, settings_of
 from tms_fit.parameters import PARAMETERS
+from tms_fit.settings_parser import add_options, each_once, names, settings_of
 from tms_model.command_line import Command, Parser, print_json
 from tms_model.errors import ParameterError
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from tms_model.command_line import Command, Parser, offered_commands, print_json
 from tms_model.errors import ParameterError
 
-from tms_fit.arguments import add_options, settings_of
+from tms_fit.settings_parser import add_options, settings_of
 
 if TYPE_CHECKING:
     from tms_bag import Recording

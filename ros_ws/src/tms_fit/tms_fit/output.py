@@ -14,7 +14,8 @@ from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.settings import Settings
 from tms_fit.strike_fit import StrikeFit
-from tms_fit.strikes.strike import Strike, StrikeSettings
+from tms_fit.strikes.strike import Strike
+from tms_fit.strikes.thresholds import StrikeThresholds
 
 
 def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
@@ -139,7 +140,7 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
     if any(line.removesuffix(" ?").endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:
-        least = StrikeSettings().least_change
+        least = StrikeThresholds().least_change
         lines.append(f"no strike: no sudden change of the lean rate of {least:g} rad/s or more within 0.3 s")
     return "\n".join(lines)
 

@@ -1,4 +1,8 @@
-"""Fit of a recording: synchronise, detect, window, fit, diagnose."""
+"""Fit of a recording: synchronise, detect, window, fit, diagnose.
+
+What is fitted: the measured lean and yaw rate after each strike, by the response of the linearised Whipple
+bicycle to an unknown initial lean rate (and what else the settings free), with a bias of each gyroscope.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +26,7 @@ from tms_fit.strike_fit import StrikeFit, fit_strike
 from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
 
 DEFAULTS = Settings()
+SPEED, TORQUE, SATURATION, IMU = range(4)  # kinds of samples, at equal times in this order
 SYNCHRONISATION_SHARE = 0.2  # of the progress reported, by measurement without strikes
 Progress = Callable[[float, int], None]  # share of the recording processed, strikes found so far
 
@@ -58,7 +63,7 @@ def fit_recording(
     bicycle = bicycle_of(recording) if bicycle is None else bicycle
     samples = synchronize(recording, settings, progress)
     tracker = StrikeTracker(samples, bicycle, settings, _stamps(recording, strike_times))
-    responses = free_responses(samples, tracker, progress)
+    responses = free_responses(samples, tracker, progress)  # detected strikes and where each response ends
     fits = [fit_strike(response, bicycle, settings) for response in responses]  # window, fit, diagnose
     return RecordingFit(recording, bicycle, settings, tuple(fits), tuple(tracker.rejected))
 
@@ -92,12 +97,12 @@ def synchronize(recording: Recording, settings: Settings, progress: Progress | N
     ):
         if progress is not None and number % _every(times) == 0:
             progress(SYNCHRONISATION_SHARE * number / len(times), 0)
-        if kind == 3:
+        if kind == IMU:
             p, q, r = imu.angular_velocity[row].tolist()
             synchronizer.add_imu(time_ns, (p, q, r), (x, y, z))
-        elif kind == 2 and flags is not None:
+        elif kind == SATURATION and flags is not None:
             synchronizer.add_flags(time_ns, int(flags.saturation[row]))
-        elif kind == 1 and torque is not None:
+        elif kind == TORQUE and torque is not None:
             synchronizer.steer_torque.add(time_ns, float(torque.steer_torque[row]))
         elif speed is not None:
             synchronizer.speed.add(time_ns, float(speed.speed[row]), float(speed.variance[row]))
@@ -192,16 +197,13 @@ def _every(times: NDArray[np.int64]) -> int:
 
 
 def _in_time_order(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Times, kinds (0 speed, 1 torque, 2 saturation, 3 imu) and rows of all samples, in time order.
-
-    At equal times in the order of the kinds. Samples without a saturated axis have no flags.
-    """
+    """Times [ns], kinds and rows of all samples in time order; flags only where an axis is saturated."""
     series = (recording.speed, recording.steer_torque, recording.lean_yaw, recording.imu)
     stamps = [np.asarray(one.time_ns) if one is not None else np.empty(0, np.int64) for one in series]
     listed = [np.arange(len(one)) for one in stamps]
     if recording.lean_yaw is not None:
-        listed[2] = np.flatnonzero(recording.lean_yaw.saturation & FLAGS)
-        stamps[2] = stamps[2][listed[2]]
+        listed[SATURATION] = np.flatnonzero(recording.lean_yaw.saturation & FLAGS)
+        stamps[SATURATION] = stamps[SATURATION][listed[SATURATION]]
     times = np.concatenate(stamps)
     kinds = np.repeat(np.arange(4), [len(one) for one in stamps])
     rows = np.concatenate(listed)

@@ -77,8 +77,10 @@ class StrikeFit:
 
 
 def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, final: bool = True) -> StrikeFit:
-    """Fit of a free response by all estimators of the settings.
+    """Window, estimates by all estimators of the settings, and misspecification of a free response.
 
+    By default the response of the linearised bicycle, initial lean rate and gyroscope biases unknown, is
+    fitted to lean and yaw rate by least squares, and once more by a Kalman smoother.
     final: whether the response is complete; a preview is not tested for misspecification.
     """
     strike, segment, end = response.strike, response.segment, response.window_end

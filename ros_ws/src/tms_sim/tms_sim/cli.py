@@ -82,7 +82,7 @@ def _plot(arguments: argparse.Namespace) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     import numpy as np
-    from tms_model.whole_file import write_whole
+    from tms_model.atomic_write import atomic_write
 
     from tms_sim.blind import blind_custom_data, blind_records, blinded, truth_path, truth_text
     from tms_sim.run import simulate
@@ -99,7 +99,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.blind:
         told, text = blinded(result, scenario), truth_text(result, scenario).encode()
         _write(
-            arguments, blind_records(told), blind_custom_data(told.info), partial(write_whole, truth, text)
+            arguments, blind_records(told), blind_custom_data(told.info), partial(atomic_write, truth, text)
         )
         return
     _write(arguments, result.records(), result.custom_data(), partial(truth.unlink, missing_ok=True))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tms_bag import RecordingError
-from tms_model.whole_file import write_whole
+from tms_model.atomic_write import atomic_write
 
 from tms_study.campaign import Campaign, Row
 
@@ -34,7 +34,7 @@ class CampaignFile:
         if not path.absolute().parent.is_dir():
             raise RecordingError(f"-o: expected a file in a folder that exists, found {path}")
         self.rows = self._read() if path.exists() else []
-        write_whole(path, _text([self._header, *map(self._cells, self.rows)]).encode())
+        atomic_write(path, _text([self._header, *map(self._cells, self.rows)]).encode())
 
     def add(self, rows: list[Row]) -> None:
         """Append the rows of a run; they are on the disk when this returns. Raises RecordingError if not."""

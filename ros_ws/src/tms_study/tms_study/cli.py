@@ -9,8 +9,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from tms_fit.arguments import names
 from tms_fit.parameters import PARAMETERS, check_known
+from tms_fit.settings_parser import names
 from tms_model.command_line import Parser, print_json, seed
 from tms_model.errors import ParameterError
 

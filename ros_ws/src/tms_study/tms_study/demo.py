@@ -20,9 +20,9 @@ from tms_fit.output import to_json
 from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_fit import INPUTS
+from tms_model.atomic_write import atomic_write
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure
-from tms_model.whole_file import write_whole
 from tms_sim.scenario import load_scenario
 
 from tms_study.processes import NodeProcess, own_domain
@@ -48,7 +48,7 @@ def demo(output: Path, scenario: str, seed: int) -> str:
         recording = read_recording(folder / "bag")
         fit = fit_recording(recording, bicycle_of(recording, bicycle), Settings())
         document = {**to_json(fit), "bag": str(output / "bag")}
-        write_whole(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
+        atomic_write(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
         save_figure(figure_3b(fit), folder / "figure_3b.png")
         live = _live_estimates(folder / "live")
     return _table(fit, live, output)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tms_model.whole_file import write_whole
+from tms_model.atomic_write import atomic_write
 
 from tms_study import __version__
 
@@ -81,4 +81,4 @@ def write_markdown(path: Path, found: list[Finding], seed: int, quick: bool) -> 
             f"| {one.topic} | {one.figure} | {one.value:.4g} | {one.low:g} to {one.high:g} | {one.runs} |"
             f" {mark} |"
         )
-    write_whole(path, ("\n".join(lines) + "\n").encode())
+    atomic_write(path, ("\n".join(lines) + "\n").encode())

@@ -10,8 +10,8 @@ from rclpy.node import Node
 from tms_bag.nodes.parameters import declare
 from tms_model.errors import ParameterError
 
-from tms_fit.arguments import assignment, each_once, prior
 from tms_fit.settings import OPTIONS, Option, Settings
+from tms_fit.settings_parser import assignment, each_once, prior
 
 TINY = 1e-9  # least value of a number that must be positive
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from tms_model import ParameterError
 
-from tms_fit.arguments import each_once
 from tms_fit.settings import Settings
+from tms_fit.settings_parser import each_once
 
 
 def asked_for(base: Settings, request: Any) -> Settings:

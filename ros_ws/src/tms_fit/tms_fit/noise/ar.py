@@ -76,7 +76,7 @@ def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
 def is_autocorrelated(*residuals: Array) -> bool:
     """Whether residuals (n, 2) of one run or several are autocorrelated in some channel.
 
-    They are not when BIC falls by more than BIC_MARGIN.
+    They are where an autoregressive model lowers BIC by more than BIC_MARGIN.
     """
     for c in range(2):
         segments = [residual[np.isfinite(residual[:, c]), c] for residual in residuals]

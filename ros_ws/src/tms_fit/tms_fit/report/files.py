@@ -9,7 +9,7 @@ from typing import Any
 
 import vl_convert
 from tms_model import ParameterError
-from tms_model.whole_file import write_whole
+from tms_model.atomic_write import atomic_write
 from tqdm import tqdm
 
 from tms_fit.recording_fit import RecordingFit
@@ -29,7 +29,7 @@ def write_report(fit: RecordingFit, output: Path, figures: Path | None = None) -
     if output.suffix.lower() not in (".html", ".htm"):
         raise ParameterError(f"{output}: expected a name that ends in .html")
     parts = sections(fit)
-    write_whole(output, report_html(fit, parts).encode())
+    atomic_write(output, report_html(fit, parts).encode())
     if figures is not None:
         charts = [(part, chart) for part in parts for chart in part.charts]
         for part, chart in tqdm(
@@ -41,9 +41,9 @@ def write_report(fit: RecordingFit, output: Path, figures: Path | None = None) -
 def _write_figure(part: Section, chart: Chart, folder: Path) -> None:
     svg = vl_convert.vegalite_to_svg(static_spec(chart, part.data))
     path = folder / f"{part.name.replace('-', '_')}_{chart.name}"
-    write_whole(path.with_suffix(".svg"), svg.encode())
-    write_whole(path.with_suffix(".pdf"), vl_convert.svg_to_pdf(svg))
-    write_whole(path.with_suffix(".png"), vl_convert.svg_to_png(svg, ppi=PIXELS_PER_INCH))
+    atomic_write(path.with_suffix(".svg"), svg.encode())
+    atomic_write(path.with_suffix(".pdf"), vl_convert.svg_to_pdf(svg))
+    atomic_write(path.with_suffix(".png"), vl_convert.svg_to_png(svg, ppi=PIXELS_PER_INCH))
 
 
 def static_spec(chart: Chart, data: dict[str, Columns]) -> Spec:

@@ -11,7 +11,7 @@ from tms_fit.report.datasets import column
 from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import NONE, decimals, fixed, number
 from tms_fit.report.section import Section
-from tms_fit.strikes.strike import StrikeSettings
+from tms_fit.strikes.thresholds import StrikeThresholds
 
 NAME = "initial_lean_rate"
 
@@ -19,7 +19,7 @@ NAME = "initial_lean_rate"
 def overview(fit: RecordingFit) -> Section:
     """Table and charts of all strikes; in words where there is none."""
     if not fit.strikes:
-        least = StrikeSettings().least_change
+        least = StrikeThresholds().least_change
         words = (
             f"No strike was found: the lean rate never changed suddenly by {least:g} rad/s or more within"
             " 0.3 s. There is nothing to estimate."

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 from tms_fit.strikes.edge import Edge, fit_edge
-from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
+from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
+from tms_fit.strikes.thresholds import StrikeThresholds
 
 LEAST_SAMPLES = 10  # that determine the noise; with fewer no change is detected
 MEAN_LENGTH_NS = 50_000_000  # [ns] of the running mean: one period of a 20 Hz shimmy
@@ -35,7 +36,7 @@ class DetectorHistory:
 
 
 def classify_kink(
-    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeSettings
+    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeThresholds
 ) -> Strike | None:
     """A sudden change, by the fit of its edge; None where it is not sudden or not large enough."""
     time, rate = history.time, history.rate
@@ -71,7 +72,7 @@ def classify_kink(
 
 
 def classify_swing(
-    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeSettings
+    history: DetectorHistory, trigger_ns: int, needed: float, settings: StrikeThresholds
 ) -> Strike | Rejected:
     """A push by hand, or the reason to reject it: too round, too small or too soon."""
     time, rate = history.bin_time, history.bin_rate
@@ -113,7 +114,7 @@ def classify_swing(
     )
 
 
-def is_swing_back(last: Strike | None, strike: Strike, settings: StrikeSettings) -> bool:
+def is_swing_back(last: Strike | None, strike: Strike, settings: StrikeThresholds) -> bool:
     """Whether a push may be the swing back from the last strike: soon after, and not three times as large."""
     if last is None or strike.time_ns - last.time_ns >= settings.refractory * NANOSECONDS:
         return False
@@ -137,7 +138,7 @@ def _why(edge: Edge, spacing: float, needed: float) -> str:
     )
 
 
-def _is_sudden(edge: Edge, history: DetectorHistory, trigger_ns: int, settings: StrikeSettings) -> bool:
+def _is_sudden(edge: Edge, history: DetectorHistory, trigger_ns: int, settings: StrikeThresholds) -> bool:
     """Whether a short rise explains the change, not only one of the two bends of a push."""
     if edge.push_share >= 0.5:
         return False
@@ -151,7 +152,7 @@ def _is_sudden(edge: Edge, history: DetectorHistory, trigger_ns: int, settings: 
     )
 
 
-def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeSettings) -> bool:
+def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeThresholds) -> bool:
     """Whether the fitted jump, or else the rise from before to after it, is as large as a strike's.
 
     The bicycle's immediate response is part of the rise; a jump of 50 ms and a change of slope there differ
@@ -172,12 +173,12 @@ def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeSettings)
     )
 
 
-def _same_again(last: Strike | None, time_ns: int, settings: StrikeSettings) -> bool:
+def _same_again(last: Strike | None, time_ns: int, settings: StrikeThresholds) -> bool:
     """Whether this is the other bend of the last strike."""
     return last is not None and time_ns - last.time_ns < 0.5 * settings.rise * NANOSECONDS
 
 
-def _base(history: DetectorHistory, trigger: int, settings: StrikeSettings) -> int:
+def _base(history: DetectorHistory, trigger: int, settings: StrikeThresholds) -> int:
     """The bin that a change is measured from: the farthest of those before it."""
     since = history.bin_time[trigger] - settings.rise * NANOSECONDS
     if history.last is not None:
@@ -188,7 +189,7 @@ def _base(history: DetectorHistory, trigger: int, settings: StrikeSettings) -> i
 
 
 def _refusal(
-    history: DetectorHistory, rows: tuple[int, int], change: float, noise: float, settings: StrikeSettings
+    history: DetectorHistory, rows: tuple[int, int], change: float, noise: float, settings: StrikeThresholds
 ) -> str:
     """The reason why a change between two rows of the bins is no push, or an empty text."""
     time, rate, (base, start) = history.bin_time, history.bin_rate, rows

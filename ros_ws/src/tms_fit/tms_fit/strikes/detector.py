@@ -36,7 +36,8 @@ from tms_fit.strikes.classification import (
     classify_swing,
     is_swing_back,
 )
-from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike, StrikeSettings
+from tms_fit.strikes.strike import NANOSECONDS, Rejected, Strike
+from tms_fit.strikes.thresholds import StrikeThresholds
 
 LONGEST_GAP_S = 0.15  # without samples; across a longer one no change is known to be sudden
 BIN_LENGTH_NS = 5_000_000  # [ns]; samples closer than this are averaged for the search
@@ -47,8 +48,8 @@ NOISE_FACTOR = 6.0  # least change per noise
 class StrikeDetector:
     """Strikes in a stream of lean rates; the result depends on the samples alone."""
 
-    def __init__(self, settings: StrikeSettings | None = None) -> None:
-        self._settings = settings or StrikeSettings()
+    def __init__(self, settings: StrikeThresholds | None = None) -> None:
+        self._settings = settings or StrikeThresholds()
         self._raw: deque[tuple[int, float]] = deque()  # samples [ns], [rad/s]
         self._bin: list[tuple[int, float]] = []  # samples of the bin that is open
         # Lists, since places in them are found by halving; as long as twice what is kept, see _append.

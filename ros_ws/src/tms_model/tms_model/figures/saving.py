@@ -7,8 +7,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from tms_model.atomic_write import atomic_write
 from tms_model.errors import ParameterError
-from tms_model.whole_file import write_whole
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -21,4 +21,4 @@ def save_figure(figure: Figure, path: Path) -> None:
         raise ParameterError(f"{path}: expected a name that ends in .png, .svg or .pdf")
     drawn = io.BytesIO()
     figure.savefig(drawn, format=kind, dpi=150)
-    write_whole(path, drawn.getvalue())
+    atomic_write(path, drawn.getvalue())

@@ -9,7 +9,7 @@ from pathlib import Path
 from tms_model.errors import ParameterError
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def atomic_write(path: Path, content: bytes) -> None:
     """Write a file; folders above it are made. It is on the disk, and whole, when it gets its name.
 
     Raises ParameterError for a place that can't be written, or that takes no more.
