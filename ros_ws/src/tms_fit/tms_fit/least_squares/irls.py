@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from tms_model.bicycle import Array
 
-from tms_fit.least_squares import censoring
 from tms_fit.least_squares.losses import Loss, outlier_count, scale
 from tms_fit.least_squares.problem import Problem, ProblemSolution, Whitener, solve
+from tms_fit.least_squares.saturated_samples import SaturatedSamples, saturated_samples
 from tms_fit.noise import NOISES, Noise, oscillator
 from tms_fit.noise.ar import is_autocorrelated
 from tms_fit.noise.colored import ColoredNoise
@@ -22,7 +22,6 @@ from tms_fit.window import Window
 
 MAX_ROUNDS = 60
 SMALLEST_NOISE = 1e-4  # residual per largest rate up to which it is rounding: no gyroscope is as exact
-STD_STEPS, STD_SETTLED = 200, 1e-6  # of the noise's deviation beside saturated samples: at most, last change
 TOLERANCE = 1e-4  # last change of the parameters, in standard errors
 
 
@@ -46,7 +45,7 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
     window, known, outliers = problem.window, noise_model, 0
     plain = solution = _plain(problem, noise_model)
     noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
-    limits = _limits(problem)
+    limits = saturated_samples(problem)
     judged = limits is None and _judged(problem, solution)
     if loss.name == "auto":
         if judged:
@@ -101,7 +100,7 @@ def only_rounding(measured: Array, residual: Array) -> bool:
     return bool(np.nanmax(np.abs(residual), initial=0.0) <= SMALLEST_NOISE * largest)
 
 
-def _final(problem: Problem, noise_model: str, loss: Loss, limits: _Limits | None) -> bool:
+def _final(problem: Problem, noise_model: str, loss: Loss, limits: SaturatedSamples | None) -> bool:
     """Whether one round is enough: the weights do not change the solution."""
     if loss.name != "squares" or limits is not None:
         return False
@@ -119,7 +118,7 @@ def _noise(
     problem: Problem,
     residual: Array,
     fitted: Array,
-    limits: _Limits | None,
+    limits: SaturatedSamples | None,
     stated: tuple[float, ...],
 ) -> Noise:
     if name == "white" and loss.name != "squares":
@@ -149,7 +148,7 @@ def _times(factor: Array, rows: Array) -> Array:
 
 
 def _with_covariance(
-    problem: Problem, solution: ProblemSolution, noise: Noise, loss: Loss, limits: _Limits | None
+    problem: Problem, solution: ProblemSolution, noise: Noise, loss: Loss, limits: SaturatedSamples | None
 ) -> ProblemSolution:
     """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
     residual = problem.window.measured - problem.predicted(solution.values)
@@ -219,58 +218,3 @@ def _same(before: ProblemSolution, after: ProblemSolution) -> bool:
         return True
     std = np.sqrt(np.diag(after.inverse))
     return bool((np.abs(after.values - before.values) <= TOLERANCE * std).all())
-
-
-@dataclass(frozen=True, eq=False)
-class _Limits:
-    """Saturated samples of a window: where they are, and the limit that each stands at."""
-
-    rows: Array  # (n, 2) bool
-    sign: Array  # (m,)
-    limit: Array  # (m,) [rad/s]
-
-    def _at(self, function: Callable[..., Array], predicted: Array, std: float) -> Array:
-        return function(self.limit, self.sign, predicted[self.rows], std)
-
-    def replaced(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Problem:
-        """The problem with each saturated sample at its working value."""
-        assert isinstance(noise, White)
-        window = problem.window
-        measured = window.measured
-        measured[self.rows] = self._at(censoring.working, problem.predicted(solution.values), noise.std)
-        return replace(problem, window=replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]))
-
-    def std(self, problem: Problem, residual: Array, unknowns: int, std: float) -> float:
-        """Deviation of the noise, the spread left of the saturated samples included.
-
-        Each step of expectation and maximisation takes away as large a share of its error as samples aren't
-        saturated: they go on until it stands.
-        """
-        good = np.isfinite(residual)
-        predicted = problem.window.measured - residual
-        off = np.where(good & np.logical_not(self.rows), residual, 0.0)
-        squares, count = float(np.sum(off**2)), max(int(good.sum()) - unknowns, 1)
-        for _ in range(STD_STEPS):
-            spread = float(np.sum(self._at(censoring.excess, predicted, std))) * std**2
-            beyond = self._at(censoring.expected, predicted, std) - predicted[self.rows]
-            before, std = std, math.sqrt((squares + float(beyond @ beyond) + spread) / count)
-            if abs(std - before) <= STD_SETTLED * std:
-                break
-        return std
-
-    def information(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Array:
-        """Share (m,) of its information that each sample of the rows keeps."""
-        assert isinstance(noise, White)
-        share = np.ones(self.rows.shape)
-        predicted = problem.predicted(solution.values)
-        share[self.rows] = self._at(censoring.information, predicted, noise.std)
-        kept: Array = share[noise.good]
-        return kept
-
-
-def _limits(problem: Problem) -> _Limits | None:
-    window = problem.window
-    if window.saturated is None or not window.saturated.any():
-        return None
-    rows = (window.saturated != 0.0) & np.isfinite(window.measured)
-    return _Limits(rows, window.saturated[rows], window.measured[rows])
