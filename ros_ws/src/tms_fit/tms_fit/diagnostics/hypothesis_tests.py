@@ -40,8 +40,8 @@ class HypothesisTest:
     value: float  # by the wider model, SI
     std: float
     assumed: float  # by the hypothesis
-    statistic: float  # (value - assumed) / std; NaN where the data can't select_model
-    p_value: float  # NaN where the data can't select_model
+    statistic: float  # (value - assumed) / std; NaN where the data can't decide
+    p_value: float  # NaN where the data can't decide
     delta_aic: float  # of the wider model less that of the narrower; negative favours the wider
     delta_bic: float
     sentence: str
