@@ -1,3 +1,3 @@
-"""Many strikes in one fit: pooled parameters, calibration of a bicycle, identifiability."""
+"""Pooled fits of many strikes, calibration of bicycle parameters and their identifiability."""
 
 __version__ = "0.1.0"

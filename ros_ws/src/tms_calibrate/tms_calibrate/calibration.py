@@ -1,9 +1,9 @@
-"""Calibration of bicycle parameters from many free responses, with intervals by the scatter of pushes.
+"""Calibration of bicycle parameters from many free responses, with cluster-robust intervals.
 
-What a model leaves out makes residuals that are alike from sample to sample, so that a residual's variance
-says little about how well a parameter is known. What says it is how much the pushes disagree with each other:
-the noise that one measurement stands for is made as large as the scatter, from push to push, of the gradients
-of the likelihood (the magnitude adjustment of composite likelihoods). It weighs the data against the priors.
+Model errors are correlated from sample to sample, so the residual variance underestimates the uncertainty of
+a parameter. The scatter between pushes measures it instead: the noise of one measurement is inflated until
+the gradients of the likelihood scatter from push to push as expected (the magnitude adjustment of composite
+likelihoods). The inflated noise weighs the data against the priors.
 
 References: D. Pauli, W. Racugno and L. Ventura, Statistica Sinica 21 (2011) 149-164 (adjustment); K.-Y. Liang
 and S. L. Zeger, Biometrika 73 (1986), doi 10.1093/biomet/73.1.13 (scatter of gradients by cluster).
@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 from tms_fit.parameters import check_known
 from tms_model import Bicycle, ParameterError
 from tms_model.bicycle import Array
@@ -26,71 +26,71 @@ from tms_calibrate.pooled_problem import PooledProblem, PooledSolution, Run
 from tms_calibrate.pooled_solver import solve_pooled
 from tms_calibrate.random_effects import RandomEffects, random_effects
 
-MIN_RUNS = 4  # pushes, so that their scatter says something
-PRIOR_SHARE = 0.2  # of its value: a parameter's prior standard deviation where none is stated
-ELEMENT_PRIORS = {  # where none is stated; zero or one where the bicycle says nothing
+MIN_RUNS = 4  # pushes, the least number whose scatter estimates a variance
+DEFAULT_PRIOR_RELATIVE_STD = 0.2  # of the value, where the bicycle states no standard deviation
+STEER_ELEMENT_PRIOR_STD = {  # where none is stated, since the value is often 0 or 1
     "steer_spring": 5.0,  # [N m/rad]
     "steer_damper": 0.5,  # [N m s/rad]
     "lean_gain": 5.0,  # [N m/rad]
     "steer_torque_gain": 0.2,
 }
-ROUNDS = 20  # at most, of the noise and the parameters in turn
-SETTLED = 0.01  # change of the noise that ends them
+MAX_ITERATIONS = 20  # of noise and parameters in turn
+NOISE_TOLERANCE = 0.01  # last relative change of the noise
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Numbers of a bicycle with their covariance, and what bears it out."""
+    """Calibrated parameters of a bicycle with covariance, priors and effective noise."""
 
-    bicycle: Bicycle  # before
+    bicycle: Bicycle  # before calibration
     solution: PooledSolution
     priors: Mapping[str, Measured]
-    prior_sources: Mapping[str, str]  # stated, given or assumed
-    design_effect: float  # how many measurements tell as much as one independent one
+    prior_sources: Mapping[str, str]  # by name: stated, given or assumed
+    design_effect: float  # measurements that carry the information of one independent measurement
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What was calibrated."""
+        """Names of the calibrated parameters."""
         return self.solution.problem.nonlinear
 
     @property
     def values(self) -> Array:
-        """(p,)"""
+        """Calibrated values (p,), SI units."""
         return self.solution.shared
 
     @property
     def covariance(self) -> Array:
-        """(p, p), priors included."""
+        """Posterior covariance (p, p), priors included."""
         assert self.solution.arrow is not None
         return self.solution.arrow.shared_inverse
 
     @property
     def std(self) -> Array:
-        """(p,)"""
+        """Posterior standard deviations (p,)."""
         std: Array = np.sqrt(np.diag(self.covariance))
         return std
 
     @property
     def degrees_of_freedom(self) -> float:
-        """That the noise is known with, as the scatter of the pushes tells it."""
+        """Degrees of freedom of the noise estimated from the scatter between pushes."""
         return scatter_degrees(self.solution)
 
     @property
     def ci95(self) -> Array:
-        """95 % intervals (p, 2) by Student's t: few pushes tell their scatter badly."""
-        half = float(student_t.ppf(0.975, self.degrees_of_freedom)) * self.std
+        """95 % intervals (p, 2) by Student's t, since few pushes determine their scatter poorly."""
+        half = float(stdtrit(self.degrees_of_freedom, 0.975)) * self.std
         return np.stack([self.values - half, self.values + half], axis=1)
 
     @property
     def contraction(self) -> Array:
-        """Share (p,) of each prior variance that the data took away: 0 nothing learnt, 1 all is data."""
+        """Reduction (p,) of each prior variance by the data: 0 prior alone, 1 data alone."""
         prior = np.array([self.priors[name].deviation for name in self.names])
         share: Array = 1.0 - (self.std / prior) ** 2
         return share
 
     @property
     def repeated(self) -> dict[str, RandomEffects]:
-        """Each number as each push alone tells it, all others held: is their scatter that of the noise?"""
+        """Heterogeneity between pushes of each parameter, all other parameters fixed."""
         return {name: self._repeated(k) for k, name in enumerate(self.names)}
 
     def _repeated(self, index: int) -> RandomEffects:
@@ -107,11 +107,11 @@ class Calibration:
 def priors_for(
     bicycle: Bicycle, names: tuple[str, ...], given: Mapping[str, Measured]
 ) -> tuple[dict[str, Measured], dict[str, str]]:
-    """A prior for each name and where it comes from: given, stated with the bicycle, or assumed.
+    """Prior of each name and its source: given, stated with the bicycle, or assumed.
 
-    Assumed is PRIOR_SHARE of the value, or ELEMENT_PRIORS. Raises ParameterError for a name that the bicycle
-    does not have, a prior on what is not free or without deviation, and for a value of 0 of which PRIOR_SHARE
-    says nothing.
+    An assumed standard deviation is STEER_ELEMENT_PRIOR_STD, or DEFAULT_PRIOR_RELATIVE_STD of the value.
+    Raises ParameterError for a name that the bicycle lacks, a prior on a fixed parameter, and a prior without
+    standard deviation, given or assumed from a value of 0.
     """
     numbers = numbers_of(bicycle)
     check_known(names, numbers, "free")
@@ -123,7 +123,7 @@ def priors_for(
         elif bicycle.standard_deviations.get(name, 0.0) > 0.0:
             priors[name], sources[name] = Measured(numbers[name], bicycle.standard_deviations[name]), "stated"
         else:
-            assumed = ELEMENT_PRIORS.get(name, PRIOR_SHARE * abs(numbers[name]))
+            assumed = STEER_ELEMENT_PRIOR_STD.get(name, DEFAULT_PRIOR_RELATIVE_STD * abs(numbers[name]))
             priors[name], sources[name] = Measured(numbers[name], assumed), "assumed"
         if not priors[name].deviation > 0.0:
             raise ParameterError(
@@ -136,7 +136,7 @@ def priors_for(
 def calibrate(
     bicycle: Bicycle, runs: tuple[Run, ...], names: tuple[str, ...], given: Mapping[str, Measured]
 ) -> Calibration:
-    """Calibrate `names` of a bicycle; raises ParameterError as `priors_for`, and for too few runs."""
+    """Calibrate `names` of a bicycle. Raises ParameterError as `priors_for` does, and for too few runs."""
     if not names or len(set(names)) < len(names):
         raise ParameterError(f"free: expected each name once, found {', '.join(names) or 'none'}")
     if len(runs) < MIN_RUNS:
@@ -153,16 +153,16 @@ def calibrate(
 
 
 def solve_balanced(problem: PooledProblem) -> PooledSolution:
-    """The solution at which the noise that a measurement stands for is what the scatter of the runs says."""
+    """Solution whose noise equals the balanced noise of its own residuals (fixed-point iteration)."""
     bare = solve_pooled(replace(problem, nonlinear=(), priors={}))
     if bare.status == "not_observable":
         return bare
     solution = solve_pooled(replace(problem, noise=4.0 * np.sqrt(bare.variance)))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         if solution.status == "not_observable":
             break
         noise = balanced_noise(solution)
-        settled = abs(noise / solution.problem.noise - 1.0) < SETTLED
+        settled = abs(noise / solution.problem.noise - 1.0) < NOISE_TOLERANCE
         solution = solve_pooled(replace(problem, noise=noise), solution.shared)
         if settled:
             break
@@ -172,12 +172,11 @@ def solve_balanced(problem: PooledProblem) -> PooledSolution:
 def balanced_noise(solution: PooledSolution) -> float:
     """Noise [rad/s] of one measurement at which the runs' gradients scatter as expected.
 
-    The predictions are taken as linear around the solution; with another noise the priors pull more or less,
-    which moves the solution and the residuals. The scatter of the gradients and what is expected of it are
-    compared in the metric of the covariance C, in which directions that only the priors hold weigh little. A
-    push pulls the solution towards itself: with information I_i, its gradient at the solution is expected to
-    scatter by I_i - I_i C I_i (R. M. Bell and D. F. McCaffrey, Survey Methodology 28 (2002) 169-181), whether
-    it is the noise or the prior that makes the solution differ from the truth.
+    The predictions are linearised at the solution. Another noise changes the weight of the priors, which
+    moves the solution and the residuals. The observed and the expected scatter of the gradients are compared
+    in the metric of the covariance C, which gives little weight to directions that only the priors determine.
+    Each push pulls the solution towards itself: with information I_i, its gradient at the solution has the
+    expected variance I_i - I_i C I_i (R. M. Bell and D. F. McCaffrey, Survey Methodology 28 (2002) 169-181).
     """
     problem, arrow = solution.problem, solution.arrow
     assert arrow is not None
@@ -186,22 +185,22 @@ def balanced_noise(solution: PooledSolution) -> float:
     prior = np.linalg.inv(arrow.shared_inverse) - sum(information) / problem.noise**2
     gradients = np.array([s.T @ residual for s, residual in zip(slopes, solution.residuals, strict=True)])
     noise = problem.noise
-    pull = -gradients.sum(axis=0) / noise**2  # of the priors, at the solution
-    for _ in range(ROUNDS):
+    pull = -gradients.sum(axis=0) / noise**2  # gradient of the priors at the solution
+    for _ in range(MAX_ITERATIONS):
         covariance = np.linalg.inv(sum(information) / noise**2 + prior)
         step = covariance @ (gradients.sum(axis=0) / noise**2 + pull)
         moved = gradients - np.array([one @ step for one in information])
         found = float(np.sum((moved @ covariance) * moved))
-        shares = [covariance @ one / noise**2 for one in information]  # of all that is known, each push's
+        shares = [covariance @ one / noise**2 for one in information]  # leverage of each push
         expected = noise**2 * sum(float(np.trace(one - one @ one)) for one in shares)
         before, noise = noise, float(np.sqrt(found / expected))
-        if abs(noise / before - 1.0) < 0.1 * SETTLED:
+        if abs(noise / before - 1.0) < 0.1 * NOISE_TOLERANCE:
             break
     return noise
 
 
 def scatter_degrees(solution: PooledSolution) -> float:
-    """Degrees of freedom of the noise that the runs' gradients show, by Satterthwaite's moments.
+    """Degrees of freedom of the noise estimated from the runs' gradients, by Satterthwaite's moments.
 
     F. E. Satterthwaite, Biometrics Bulletin 2 (1946), doi 10.2307/3002019.
     """

@@ -1,4 +1,4 @@
-"""Figure of a calibration: pushes of each recording as measured and predicted, numbers and their priors."""
+"""Figure of a calibration: measured and predicted pushes of each recording, parameters and priors."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from tms_calibrate.pooled_fit import Strike
 from tms_calibrate.pooled_problem import PooledProblem, Run
 from tms_calibrate.pooled_solver import model_of, solve_pooled
 
-PANELS = 3  # in a row
+MAX_COLUMNS = 3  # panels side by side
 MEASURED, BEFORE, AFTER = "0.6", "C1", "C0"
 
 
 def calibration_figure(
-    calibration: Calibration, strikes: Sequence[Strike], judged: CrossValidationRow
+    calibration: Calibration, strikes: Sequence[Strike], validation: CrossValidationRow
 ) -> Figure:
-    """One panel per recording and one for the numbers."""
+    """Figure with one panel per recording and one for the parameters."""
     names = list(dict.fromkeys(one.recording for one in strikes))
-    columns = min(len(names), PANELS)
+    columns = min(len(names), MAX_COLUMNS)
     rows = -(-len(names) // columns)
     heights = [3.0] * rows + [0.6 + 0.38 * len(calibration.names)]
     figure = Figure(figsize=(max(8.0, 4.0 * columns), sum(heights) + 0.8), layout="constrained")
@@ -32,7 +32,7 @@ def calibration_figure(
     first: Axes | None = None
     for k, name in enumerate(names):
         axes = figure.add_subplot(grid[k // columns, k % columns], sharex=first, sharey=first)
-        _pushes(axes, calibration, strikes, judged, name)
+        _pushes(axes, calibration, strikes, validation, name)
         first = first or axes
     _numbers(figure.add_subplot(grid[rows, :]), calibration)
     handles, labels = first.get_legend_handles_labels() if first else ([], [])
@@ -41,9 +41,9 @@ def calibration_figure(
 
 
 def _pushes(
-    axes: Axes, calibration: Calibration, strikes: Sequence[Strike], judged: CrossValidationRow, name: str
+    axes: Axes, calibration: Calibration, strikes: Sequence[Strike], validation: CrossValidationRow, name: str
 ) -> None:
-    """All pushes of a recording per initial lean rate, and the predictions for one of middle speed."""
+    """Draw all pushes of a recording per initial lean rate, and the predictions at the median speed."""
     here = [k for k, one in enumerate(strikes) if one.recording == name]
     windows = [calibration.solution.problem.runs[k].window for k in here]
     found = calibration.solution.shared_values
@@ -60,7 +60,7 @@ def _pushes(
     ):
         curve = model_of(middle, numbers).select(OWN_UNKNOWNS)[:, 0, 0]
         axes.plot(middle.time, curve, color=colour, ls=style, lw=2.0, label=words)
-    before, after = (float(np.median(values[here])) for values in (judged.before, judged.after))
+    before, after = (float(np.median(values[here])) for values in (validation.before, validation.after))
     axes.set_title(
         f"{name}: {len(here)} pushes at {np.median(speeds):.2f} m/s\n"
         f"median VAF {before:.3f}, calibrated {after:.3f}",
@@ -72,7 +72,7 @@ def _pushes(
 
 
 def _numbers(axes: Axes, calibration: Calibration) -> None:
-    """95 % of prior and of what was found, in prior standard deviations."""
+    """Draw 95 % intervals of prior and calibrated values, in prior standard deviations."""
     names = calibration.names
     for k, name in enumerate(names):
         prior = calibration.priors[name]

@@ -1,4 +1,4 @@
-"""The file that `fit calibrate` writes: a bicycle of the catalogue's form, with covariance and provenance."""
+"""Calibrated bicycle file in the catalogue's format, with covariance and provenance."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from tms_calibrate.pooled_fit import Strike
 
 
 def sources_of(fits: Sequence[RecordingFit], strikes: Sequence[Strike]) -> list[dict[str, Any]]:
-    """Name, hash and number of strikes used of each recording; an imported log's hash is that of the log."""
-    answer = []
+    """Name, SHA-256 and number of strikes used of each recording; an imported log has the hash of the log."""
+    sources = []
     for fit in fits:
         path = fit.recording.path
         count = sum(one.recording == path.name for one in strikes)
         digest = fit.recording.custom_data.get("source_sha256") or _digest(path)
-        answer.append({"name": path.name, "sha256": digest, "strikes": count})
-    return answer
+        sources.append({"name": path.name, "sha256": digest, "strikes": count})
+    return sources
 
 
 def _digest(path: Path) -> str:
-    """Of all MCAP files of a bag, in the order of their names."""
+    """SHA-256 of all MCAP files of a bag, in the order of their names."""
     total = hashlib.sha256()
     for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
         with file.open("rb") as stream:
@@ -42,13 +42,11 @@ def _digest(path: Path) -> str:
 def document_of(
     calibration: Calibration, parent: str, command: str, recordings: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The file's contents."""
+    """Contents of the file: the parent bicycle, the changed parameters and their calibration."""
     values = {name: float(f"{v:.7g}") for name, v in calibration.solution.shared_values.items()}
     strikes = sum(int(one["strikes"]) for one in recordings)
-    told = {
-        name: in_word(float(c)) for name, c in zip(calibration.names, calibration.contraction, strict=True)
-    }
-    held = [name for name, word in told.items() if word == "prior"]
+    contraction = dict(zip(calibration.names, calibration.contraction.tolist(), strict=True))
+    held = [name for name, share in contraction.items() if in_word(share) == "prior"]
     calibrated = Calibrated(
         names=calibration.names,
         covariance=calibration.covariance,
@@ -79,7 +77,7 @@ def write_calibration(
 ) -> None:
     """Write the calibrated bicycle; the file appears whole or not at all. Raises ParameterError.
 
-    parent: catalogue name, or path of a file, which the new one then names by its place.
+    parent: catalogue name, or path of a file, to which the new file refers by a relative path.
     """
     if parent.endswith((".yaml", ".yml", ".txt")):
         parent = os.path.relpath(parent, path.parent)

@@ -1,4 +1,4 @@
-"""The answer of `fit calibrate`: what the data identify, what the priors hold, and how well it predicts."""
+"""Calibrations as JSON and as tables: values, identifiability and cross-validation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tms_model.bicycle import Array
 from tms_model.changes import MATRIX_ENTRIES, numbers_of
 from tms_model.parameters import MAY_BE_UNKNOWN, PARAMETER_NAMES
 
-from tms_calibrate.calibration import PRIOR_SHARE, Calibration
+from tms_calibrate.calibration import DEFAULT_PRIOR_RELATIVE_STD, Calibration
 from tms_calibrate.cross_validation import (
     LeftOut,
     jackknife_std,
@@ -26,29 +26,27 @@ from tms_calibrate.pooled_fit import Strike
 from tms_calibrate.pooled_output import heterogeneity_json
 from tms_calibrate.pooled_problem import Run
 
-MOSTLY_DATA, MOSTLY_PRIOR = 0.75, 0.25  # shares of a prior's variance that the data took away
+DATA_CONTRACTION, PRIOR_CONTRACTION = 0.75, 0.25  # limits of the words data and prior
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidationRow:
-    """How a calibration does, push by push, with one initial lean rate per push and nothing else of it."""
+    """Cross-validation push by push, one initial lean rate fitted to each, and identifiability."""
 
-    before: Array  # (k,) VAF of the lean rate by the bicycle as it was
+    before: Array  # (k,) VAF of the lean rate by the parent bicycle
     after: Array  # (k,) by the calibrated one
     with_offset: Array  # (k,) the same with a constant offset per push beside the initial lean rate
     without_it: Array  # (k,) by the calibration of all other pushes
-    jackknife: Array  # (p,) standard errors by leaving pushes out: the data's part
+    jackknife: Array  # (p,) standard errors by leaving pushes out, data alone
     recordings: dict[str, LeftOut]  # by the calibration of the other recordings
-    free: Identifiability  # of what was calibrated
-    parameters: Identifiability | None  # of all parameters, each known within PRIOR_SHARE of its value
+    free: Identifiability  # of the calibrated parameters
+    parameters: Identifiability | None  # of all parameters, with DEFAULT_PRIOR_RELATIVE_STD
     entries: Identifiability  # of the entries of the matrices, likewise
-    starts: (
-        InitialStateSensitivity | None
-    )  # the numbers with each start's whole state free; None: not told apart
+    starts: InitialStateSensitivity | None  # None: whole initial state free already, or not observable
 
 
-def judge(calibration: Calibration, strikes: Sequence[Strike]) -> CrossValidationRow:
-    """Judge a calibration by the strikes that it was made from, in the same order."""
+def cross_validate(calibration: Calibration, strikes: Sequence[Strike]) -> CrossValidationRow:
+    """Cross-validation of a calibration by its own strikes, in the same order."""
     found = calibration.solution.shared_values
     windows = [run.window for run in calibration.solution.problem.runs]
     left_out, vaf = leave_runs_out(calibration)
@@ -70,15 +68,15 @@ def judge(calibration: Calibration, strikes: Sequence[Strike]) -> CrossValidatio
 
 
 def _all(calibration: Calibration, names: tuple[str, ...]) -> Identifiability:
-    """Identifiability of these numbers of the parent bicycle, each known within PRIOR_SHARE of its value."""
+    """Identifiability of parameters of the parent bicycle under DEFAULT_PRIOR_RELATIVE_STD."""
     numbers = numbers_of(calibration.bicycle)
     scales = {
-        name: PRIOR_SHARE * abs(numbers[name])
+        name: DEFAULT_PRIOR_RELATIVE_STD * abs(numbers[name])
         for name in names
         if name not in MAY_BE_UNKNOWN and numbers.get(name, 0.0) != 0.0
     }
     problem = calibration.solution.problem
-    if names == MATRIX_ENTRIES:  # which say nothing of a changing speed
+    if names == MATRIX_ENTRIES:  # which hold at one speed only
         problem = replace(problem, runs=tuple(_at_constant_speed(run) for run in problem.runs))
     return identify(problem, {name: numbers[name] for name in scales}, scales)
 
@@ -89,15 +87,15 @@ def _at_constant_speed(run: Run) -> Run:
 
 def in_word(contraction: float) -> str:
     """Source of a value: data, prior, or both."""
-    if contraction >= MOSTLY_DATA:
+    if contraction >= DATA_CONTRACTION:
         return "data"
-    return "data and prior" if contraction > MOSTLY_PRIOR else "prior"
+    return "data and prior" if contraction > PRIOR_CONTRACTION else "prior"
 
 
 def calibration_json(
-    calibration: Calibration, strikes: Sequence[Strike], judged: CrossValidationRow
+    calibration: Calibration, strikes: Sequence[Strike], validation: CrossValidationRow
 ) -> dict[str, Any]:
-    """Everything, SI units."""
+    """Calibration, identifiability and cross-validation, SI units."""
     repeated = calibration.repeated
     return {
         "bicycle": calibration.bicycle.name,
@@ -113,7 +111,7 @@ def calibration_json(
                 "prior_source": calibration.prior_sources[name],
                 "contraction": float(calibration.contraction[k]),
                 "told_by": in_word(float(calibration.contraction[k])),
-                "jackknife_std": float(judged.jackknife[k]),
+                "jackknife_std": float(validation.jackknife[k]),
                 "each_push": heterogeneity_json(repeated[name]),
             }
             for k, name in enumerate(calibration.names)
@@ -122,25 +120,25 @@ def calibration_json(
         "noise": calibration.solution.problem.noise,
         "design_effect": calibration.design_effect,
         "degrees_of_freedom": calibration.degrees_of_freedom,
-        "free_starts": None if judged.starts is None else _starts_json(judged.starts),
+        "free_starts": None if validation.starts is None else _starts_json(validation.starts),
         "identifiability": {
-            "free": _identifiability_json(judged.free),
-            "parameters": _identifiability_json(judged.parameters) if judged.parameters else None,
-            "matrix_entries": _identifiability_json(judged.entries),
+            "free": _identifiability_json(validation.free),
+            "parameters": _identifiability_json(validation.parameters) if validation.parameters else None,
+            "matrix_entries": _identifiability_json(validation.entries),
         },
         "strikes": [
             {
                 "bag": one.recording,
                 "strike": one.index,
                 "seconds": one.seconds,
-                "vaf_before": float(judged.before[k]),
-                "vaf": float(judged.after[k]),
-                "vaf_with_offset": float(judged.with_offset[k]),
-                "vaf_left_out": float(judged.without_it[k]),
+                "vaf_before": float(validation.before[k]),
+                "vaf": float(validation.after[k]),
+                "vaf_with_offset": float(validation.with_offset[k]),
+                "vaf_left_out": float(validation.without_it[k]),
             }
             for k, one in enumerate(strikes)
         ],
-        "recordings": {name: _medians(strikes, judged, name) for name in _recordings(strikes)},
+        "recordings": {name: _medians(strikes, validation, name) for name in _recordings(strikes)},
     }
 
 
@@ -172,27 +170,29 @@ def _recordings(strikes: Sequence[Strike]) -> list[str]:
     return list(dict.fromkeys(one.recording for one in strikes))
 
 
-def _medians(strikes: Sequence[Strike], judged: CrossValidationRow, name: str) -> dict[str, Any]:
+def _medians(strikes: Sequence[Strike], validation: CrossValidationRow, name: str) -> dict[str, Any]:
     here = np.array([one.recording == name for one in strikes])
-    answer: dict[str, Any] = {
+    medians: dict[str, Any] = {
         "strikes": int(here.sum()),
-        "median_vaf_before": float(np.median(judged.before[here])),
-        "median_vaf": float(np.median(judged.after[here])),
-        "median_vaf_with_offset": float(np.median(judged.with_offset[here])),
-        "median_vaf_left_out": float(np.median(judged.without_it[here])),
+        "median_vaf_before": float(np.median(validation.before[here])),
+        "median_vaf": float(np.median(validation.after[here])),
+        "median_vaf_with_offset": float(np.median(validation.with_offset[here])),
+        "median_vaf_left_out": float(np.median(validation.without_it[here])),
     }
-    if name in judged.recordings:
-        other = judged.recordings[name]
-        answer["by_the_other_recordings"] = {
+    if name in validation.recordings:
+        other = validation.recordings[name]
+        medians["by_the_other_recordings"] = {
             "median_vaf": float(np.median(other.vaf)),
             "values": dict(other.values),
             "std": dict(other.std),
         }
-    return answer
+    return medians
 
 
-def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judged: CrossValidationRow) -> str:
-    """What was found and who tells it, the combinations that the data know, and medians of the VAF."""
+def calibration_table(
+    calibration: Calibration, strikes: Sequence[Strike], validation: CrossValidationRow
+) -> str:
+    """Table of values and their sources, identifiable combinations, and medians of the VAF."""
     lines = [
         f"{calibration.bicycle.name}: {len(strikes)} strikes;"
         f" {calibration.design_effect:.1f} measurements tell as much as one independent one; 95 % intervals"
@@ -206,22 +206,23 @@ def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judge
         prior, each = calibration.priors[name], repeated[name]
         lines.append(
             f"{name:26} {prior.value:9.4g} +/- {prior.deviation:5.2g}  {calibration.values[k]:9.4g} +/-"
-            f" {calibration.std[k]:5.2g}  {judged.jackknife[k]:9.2g}"
+            f" {calibration.std[k]:5.2g}  {validation.jackknife[k]:9.2g}"
             f"  {in_word(float(calibration.contraction[k])):14}"
             f"  Q {each.q:5.1f} of {each.count - 1}, p {each.p:.2g} ({calibration.prior_sources[name]} prior)"
         )
-    if judged.starts is not None:
-        lines.append(judged.starts.in_words)
-    lines += _combinations(judged.free, "of these")
-    if judged.parameters:
-        lines += _combinations(judged.parameters, f"parameters, each known within {100 * PRIOR_SHARE:.0f} %")
-    lines += _combinations(judged.entries, f"matrix entries, each known within {100 * PRIOR_SHARE:.0f} %")
+    if validation.starts is not None:
+        lines.append(validation.starts.in_words)
+    lines += _combinations(validation.free, "of these")
+    within = f"each known within {100 * DEFAULT_PRIOR_RELATIVE_STD:.0f} %"
+    if validation.parameters:
+        lines += _combinations(validation.parameters, f"parameters, {within}")
+    lines += _combinations(validation.entries, f"matrix entries, {within}")
     lines.append("median VAF of the lean rate, one initial lean rate per push and nothing else of that push:")
     lines.append(
         f"{'bag':24} {'pushes':>6} {'before':>8} {'found':>8} {'push left out':>14} {'bag left out':>13}"
     )
     for name in _recordings(strikes):
-        one = _medians(strikes, judged, name)
+        one = _medians(strikes, validation, name)
         other = one.get("by_the_other_recordings", {}).get("median_vaf")
         lines.append(
             f"{name:24} {one['strikes']:6} {one['median_vaf_before']:8.3f} {one['median_vaf']:8.3f}"
@@ -231,7 +232,7 @@ def calibration_table(calibration: Calibration, strikes: Sequence[Strike], judge
 
 
 def _combinations(one: Identifiability, what: str) -> list[str]:
-    """The combinations that the data know, best first, in words."""
+    """Lines of the combinations that the data determine better than the priors, best first."""
     lines = [f"the data know {one.known} of {len(one.names)} combinations {what} better than the priors:"]
     for k in range(one.known):
         lines.append(f"  {one.singular[k]:8.3g} times better: {one.in_words(k)}")

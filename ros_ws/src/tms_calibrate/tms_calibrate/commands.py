@@ -1,6 +1,6 @@
-"""The commands `fit together` and `fit calibrate`, which take several recordings.
+"""Commands `fit together` and `fit calibrate` for several recordings.
 
-What a command needs is imported when it runs: `fit --help` lists these commands without numpy and scipy.
+Imports are deferred until a command runs: `fit --help` lists these commands without numpy and scipy.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 METHODS = ("reml", "dersimonian_laird")  # those of tms_calibrate.random_effects
 COMMON = ("window", "speed_model", "steer_torque", "fixed")  # options of `fit run` that both commands have
 OWN_UNKNOWNS = "unknowns of each strike (default: as fit run)"
-FOUND_WITHIN = 0.3  # [s] of the time that `--near` names
+NEAR_WITHIN_S = 0.3  # [s] between a time of `--near` and the strike that it selects
 
 
 def _declare_common(command: Parser) -> None:
-    """Declare what both commands share."""
+    """Declare the arguments of both commands."""
     command.add_argument("bags", nargs="+", metavar="BAG", help="bag folder or .mcap file")
     command.add_argument("--bicycle", help="catalogue name or .yaml file (default: the one each bag names)")
     command.add_argument(
@@ -81,7 +81,7 @@ def _declare_calibrate(command: Parser) -> None:
 
 
 def print_together(arguments: argparse.Namespace, typed: str) -> None:
-    """Answer `fit together`."""
+    """Run `fit together` and print its result."""
     from tms_calibrate.pooled_fit import fit_pooled
     from tms_calibrate.pooled_output import together_json, together_table
 
@@ -108,10 +108,10 @@ def print_together(arguments: argparse.Namespace, typed: str) -> None:
 
 
 def print_calibration(arguments: argparse.Namespace, typed: str) -> None:
-    """Answer `fit calibrate`; typed: the command line, which the written file records."""
+    """Run `fit calibrate` and print its result; typed: the command line, recorded in the output file."""
     from tms_calibrate.calibration import calibrate
     from tms_calibrate.calibration_file import sources_of, write_calibration
-    from tms_calibrate.calibration_output import calibration_json, calibration_table, judge
+    from tms_calibrate.calibration_output import calibration_json, calibration_table, cross_validate
     from tms_calibrate.pooled_fit import usable
     from tms_calibrate.pooled_problem import Run
 
@@ -124,19 +124,19 @@ def print_calibration(arguments: argparse.Namespace, typed: str) -> None:
     strikes, _ = usable(_chosen(fits, arguments.near))
     runs = tuple(Run(one.window, one.alone.names) for one in strikes)
     calibration = calibrate(fits[0].bicycle, runs, arguments.numbers, priors)
-    judged = judge(calibration, strikes)
+    validation = cross_validate(calibration, strikes)
     write_calibration(calibration, output, parent, typed, sources_of(fits, strikes))
     if arguments.picture:
-        _picture(calibration, strikes, judged, Path(arguments.picture))
+        _picture(calibration, strikes, validation, Path(arguments.picture))
     if arguments.json:
-        print_json({"output": str(output), **calibration_json(calibration, strikes, judged)})
+        print_json({"output": str(output), **calibration_json(calibration, strikes, validation)})
     else:
-        print(calibration_table(calibration, strikes, judged))
+        print(calibration_table(calibration, strikes, validation))
         print(f"written: {output}")
 
 
 def _common_bicycle(fits: list[RecordingFit]) -> str:
-    """Name of the bicycle of all bags: one of the catalogue, as the file to be written refers to it."""
+    """Catalogue name of the one bicycle of all bags, to which the output file refers."""
     from tms_model import bicycle_names
 
     found = {fit.bicycle.name for fit in fits}
@@ -152,13 +152,13 @@ def _common_bicycle(fits: list[RecordingFit]) -> str:
 
 
 def _picture(
-    calibration: Calibration, strikes: tuple[Strike, ...], judged: CrossValidationRow, path: Path
+    calibration: Calibration, strikes: tuple[Strike, ...], validation: CrossValidationRow, path: Path
 ) -> None:
     from tms_model.figures.saving import save_figure
 
     from tms_calibrate.calibration_figure import calibration_figure
 
-    save_figure(calibration_figure(calibration, strikes, judged), path)
+    save_figure(calibration_figure(calibration, strikes, validation), path)
 
 
 def _priors(arguments: argparse.Namespace) -> dict[str, Measured]:
@@ -170,7 +170,7 @@ def _priors(arguments: argparse.Namespace) -> dict[str, Measured]:
 def _fits(
     arguments: argparse.Namespace, free: tuple[str, ...] | None, priors: dict[str, Measured]
 ) -> list[RecordingFit]:
-    """The strikes of each bag by themselves, under white noise: what is free in each."""
+    """Fits of each bag's strikes one by one under white noise, which determine the free parameters."""
     if arguments.near and len(arguments.near) != len(arguments.bags):
         raise ParameterError(
             f"near: expected once per bag ({len(arguments.bags)}), found {len(arguments.near)} times"
@@ -198,7 +198,7 @@ def _fits(
 
 
 def _chosen(fits: list[RecordingFit], near: list[tuple[float, ...]] | None) -> list[Strike]:
-    """All strikes, or those nearest to the times asked for."""
+    """All strikes, or those nearest to the given times [s] since each bag's start."""
     from tms_calibrate.pooled_fit import strikes_of
 
     chosen: list[Strike] = []
@@ -206,9 +206,9 @@ def _chosen(fits: list[RecordingFit], near: list[tuple[float, ...]] | None) -> l
         strikes = strikes_of(fit)
         for time in times:
             nearest = min(strikes, key=lambda one: abs(one.seconds - time), default=None)
-            if nearest is None or abs(nearest.seconds - time) > FOUND_WITHIN:
+            if nearest is None or abs(nearest.seconds - time) > NEAR_WITHIN_S:
                 raise RecordingError(
-                    f"{fit.recording.path}: expected a strike within {FOUND_WITHIN:g} s of {time:g} s, found"
+                    f"{fit.recording.path}: expected a strike within {NEAR_WITHIN_S:g} s of {time:g} s, found"
                     f" {f'the nearest at {nearest.seconds:.2f} s' if nearest else 'none at all'}"
                 )
             if nearest not in chosen:

@@ -1,4 +1,4 @@
-"""Cross-validation of a calibration: each push left out in turn, and each recording."""
+"""Cross-validation of a calibration by leaving out each push or each recording."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tms_calibrate.calibration import Calibration
 from tms_calibrate.pooled_problem import PooledProblem, Run
 from tms_calibrate.pooled_solver import solve_pooled
 
-OWN_UNKNOWNS = ("initial_lean_rate",)  # all that a push that is judged may have of its own
+OWN_UNKNOWNS = ("initial_lean_rate",)  # fitted to each push of the validation
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Calibration without some pushes, and its prediction of these."""
+    """Calibration without some pushes, and its prediction of those pushes."""
 
     values: Mapping[str, float]  # calibrated without them
     std: Mapping[str, float]
@@ -26,9 +26,9 @@ class LeftOut:
 
 
 def lean_rate_vaf(window: Window, numbers: Mapping[str, float], own: tuple[str, ...] = OWN_UNKNOWNS) -> float:
-    """VAF of a window's lean rate by a bicycle with these numbers, unknowns `own` of the push solved for.
+    """VAF of a window's lean rate for parameters `numbers`, with the unknowns `own` fitted to the window.
 
-    NaN where there is no lean rate or where it doesn't tell them.
+    NaN without lean rate, or where the lean rate does not determine the unknowns.
     """
     lean_only = replace(window, yaw_rate=np.full(len(window.time), np.nan))
     solution = solve_pooled(PooledProblem((Run(lean_only, own),), known=numbers))
@@ -39,11 +39,11 @@ def lean_rate_vaf(window: Window, numbers: Mapping[str, float], own: tuple[str, 
 
 
 def leave_recordings_out(calibration: Calibration, labels: Sequence[str]) -> dict[str, LeftOut]:
-    """For each recording, the calibration by the others; labels: of each run. Empty for one only.
+    """Calibration by all other recordings, for each recording; empty for a single recording.
 
-    What a measurement counts against the priors stays as all recordings have it.
+    labels: recording of each run. The noise, which weighs data against priors, stays that of all recordings.
     """
-    problem, answer = calibration.solution.problem, {}
+    problem, left_out = calibration.solution.problem, {}
     for label in dict.fromkeys(labels):
         kept = tuple(run for run, one in zip(problem.runs, labels, strict=True) if one != label)
         if len(kept) < 2:
@@ -54,8 +54,8 @@ def leave_recordings_out(calibration: Calibration, labels: Sequence[str]) -> dic
         numbers = solution.shared_values
         std = dict(zip(numbers, np.sqrt(np.diag(solution.arrow.shared_inverse)).tolist(), strict=True))
         out = [run.window for run, one in zip(problem.runs, labels, strict=True) if one == label]
-        answer[label] = LeftOut(numbers, std, np.array([lean_rate_vaf(window, numbers) for window in out]))
-    return answer
+        left_out[label] = LeftOut(numbers, std, np.array([lean_rate_vaf(window, numbers) for window in out]))
+    return left_out
 
 
 def leave_runs_out(calibration: Calibration) -> tuple[Array, Array]:
@@ -66,7 +66,7 @@ def leave_runs_out(calibration: Calibration) -> tuple[Array, Array]:
     precision = np.linalg.inv(calibration.covariance)
     values = []
     for projected, residual in zip(arrow.projected, residuals, strict=True):
-        # At the optimum all gradients and the priors' pull add up to zero: without one, minus it is left.
+        # At the optimum the gradients of runs and priors sum to zero: leaving out one leaves its negative.
         left = precision - projected.T @ projected
         values.append(calibration.values - np.linalg.solve(left, projected.T @ residual))
     vaf = [
@@ -77,7 +77,7 @@ def leave_runs_out(calibration: Calibration) -> tuple[Array, Array]:
 
 
 def jackknife_std(values: Array) -> Array:
-    """Standard errors (p,) by the scatter of the values (k, p) without each push: of the data alone."""
+    """Jackknife standard errors (p,) from leave-one-out values (k, p)."""
     count = len(values)
     std: Array = np.sqrt((count - 1) / count * np.sum((values - values.mean(axis=0)) ** 2, axis=0))
     return std

@@ -1,9 +1,8 @@
 """Identifiability of bicycle parameters by the singular values of the scaled Jacobian.
 
-The change of the predictions by each number, times its prior standard deviation, per standard deviation of
-what one measurement stands for, with all that a run's own unknowns could imitate taken out. A singular value
-of 10 says: this combination of numbers is known ten times better by the data than by the priors; one below 1:
-the priors hold it.
+The Jacobian is scaled by the prior standard deviations of the parameters and by the noise of a measurement,
+and projected orthogonally to the unknowns of each run. The data determine a combination of parameters with
+singular value 10 ten times better than the priors do; below 1 the priors determine it.
 """
 
 from __future__ import annotations
@@ -17,43 +16,43 @@ from tms_model.measured import Measured
 from tms_calibrate.pooled_problem import PooledProblem
 from tms_calibrate.pooled_solver import linearise
 
-SHOWN = 4  # numbers in a combination that is told in words
-SMALL = 0.25  # part of a combination that is not worth a word
+MAX_TERMS = 4  # of a combination in words
+MIN_COMPONENT = 0.25  # of a unit direction, for a term in words
 
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Of p numbers with their scales."""
+    """Identifiable combinations of p parameters, by data against priors."""
 
     names: tuple[str, ...]
     scales: Array  # (p,) prior standard deviations
     singular: Array  # (p,) descending, data against priors
     directions: Array  # (p, p), column k belongs to singular value k, in units of the scales
-    alone: Array  # (p,) standard error per scale, all other numbers known
-    together: Array  # (p,) the same with all others unknown within their priors
+    alone: Array  # (p,) standard error per scale, all other parameters fixed
+    together: Array  # (p,) the same, all other parameters free within their priors
 
     @property
     def known(self) -> int:
-        """Number of combinations that the data know better than the priors."""
+        """Number of combinations that the data determine better than the priors."""
         return int(np.sum(self.singular > 1.0))
 
     def in_words(self, index: int) -> str:
-        """A combination, such as 'steer_damper 0.86 - steer_torque_gain 0.33'."""
+        """Combination `index` in words, such as 'steer_damper 0.86 - steer_torque_gain 0.33'."""
         direction = self.directions[:, index]
-        largest = [int(k) for k in np.argsort(-np.abs(direction), kind="stable")[:SHOWN]]
+        largest = [int(k) for k in np.argsort(-np.abs(direction), kind="stable")[:MAX_TERMS]]
         sign = float(np.sign(direction[largest[0]]))
         parts = [
             f"{'+' if sign * direction[k] > 0.0 else '-'} {abs(direction[k]):.2f} {self.names[k]}"
             for k in largest
-            if abs(direction[k]) >= SMALL
+            if abs(direction[k]) >= MIN_COMPONENT
         ]
         return " ".join(parts).removeprefix("+ ")
 
 
 def identify(problem: PooledProblem, values: dict[str, float], scales: dict[str, float]) -> Identifiability:
-    """What the runs of a problem, with its noise, tell of the numbers in `scales`, around `values`.
+    """Identifiability of the parameters in `scales` from the runs of a problem, linearised at `values`.
 
-    scales: standard deviation by name, positive, within which a number is known without the runs.
+    scales: prior standard deviation by name, positive, SI units.
     """
     names = tuple(scales)
     around = {**problem.known, **{name: value for name, value in values.items() if name not in scales}}

@@ -1,9 +1,9 @@
 """Sensitivity of a calibration to the assumed initial state of each response.
 
-A push of some tenths of a second leaves the bicycle leaning and steering when it ends. Where only the lean
-rate is free there, all pushes are wrong in the same way: the numbers of the bicycle make up for it, and the
-scatter from push to push, which makes the intervals, shows nothing of it. With the whole state free at each
-start the numbers are less sure but don't depend on that (the comparison of J. A. Hausman, Econometrica 46
+At the end of a push of some tenths of a second the bicycle leans and steers already. Where only the initial
+lean rate is free, this error is common to all pushes: it biases the parameters of the bicycle, and the
+scatter between pushes, hence the intervals, do not include it. With the whole initial state free the
+parameters are less precise but free of this bias (specification test of J. A. Hausman, Econometrica 46
 (1978), doi 10.2307/1913827).
 """
 
@@ -17,27 +17,27 @@ from tms_model.bicycle import Array
 
 from tms_calibrate.calibration import Calibration, solve_balanced
 
-MAX_SHIFT = 2.0  # stated standard errors; numbers that move by more depend on the start
+MAX_SHIFT = 2.0  # standard errors, above which a parameter depends on the assumed initial state
 
 
 @dataclass(frozen=True, eq=False)
 class InitialStateSensitivity:
-    """The numbers with lean, steer and both rates free at each start."""
+    """Parameters calibrated with lean, steer and both rates free at each start."""
 
     names: tuple[str, ...]
     values: Array  # (p,)
     std: Array  # (p,)
-    moved: Array  # (p,) from the calibration, in its standard errors
+    moved: Array  # (p,) change from the calibration, in its standard errors
 
     @property
     def matter(self) -> bool:
-        """Whether some number depends on the start."""
+        """Whether some parameter depends on the assumed initial state."""
         return bool((np.abs(self.moved) > MAX_SHIFT).any())
 
     @property
     def in_words(self) -> str:
-        """One sentence."""
-        told = ", ".join(
+        """Result in one sentence."""
+        values = ", ".join(
             f"{name} {self.values[k]:.4g} +/- {self.std[k]:.2g} ({self.moved[k]:+.1f} standard errors)"
             for k, name in enumerate(self.names)
             if not self.matter or abs(self.moved[k]) > MAX_SHIFT
@@ -45,13 +45,13 @@ class InitialStateSensitivity:
         if self.matter:
             return (
                 "the intervals hold only if no push has leant or steered the bicycle by its end: with lean,"
-                f" steer and steer rate of each start free, too: {told}; see --each"
+                f" steer and steer rate of each start free, too: {values}; see --each"
             )
-        return f"with lean, steer and steer rate of each start free, too: {told}"
+        return f"with lean, steer and steer rate of each start free, too: {values}"
 
 
 def initial_state_sensitivity(calibration: Calibration) -> InitialStateSensitivity | None:
-    """The calibration once more with the whole state free at each start; None where that can't be told."""
+    """Calibration with the whole initial state free; None where it is free already or not observable."""
     problem = calibration.solution.problem
     if all(set(INITIAL) <= set(run.names) for run in problem.runs):
         return None

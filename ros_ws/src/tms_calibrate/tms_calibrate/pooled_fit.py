@@ -1,4 +1,4 @@
-"""Pooled fit of the strikes of several recordings, and their heterogeneity."""
+"""Pooled fit of the strikes of several recordings, with a test of heterogeneity."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.block_arrowhead import solve_block_arrowhead
@@ -24,50 +24,50 @@ from tms_calibrate.pooled_problem import BICYCLE_NUMBERS, PooledProblem, PooledS
 from tms_calibrate.pooled_solver import block_of, model_of
 from tms_calibrate.random_effects import RandomEffects, random_effects
 
-OF_A_STRIKE = ("strike_time", FRICTION)  # the latter in a fit of one run only
+NOT_SHAREABLE = ("strike_time", FRICTION)  # friction only in a fit of one run
 SHAREABLE = tuple(
-    dict.fromkeys((*BIASES, *(name for name in NONLINEAR if name not in OF_A_STRIKE), *BICYCLE_NUMBERS))
+    dict.fromkeys((*BIASES, *(name for name in NONLINEAR if name not in NOT_SHAREABLE), *BICYCLE_NUMBERS))
 )
-DIFFERENCE_STEP = 1e-3  # step of the differences by what is known but not exactly, in its standard deviations
+DIFFERENCE_STEP = 1e-3  # of derivatives by nuisance parameters, in their standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Strike:
-    """One strike of one recording, as `fit run` sees it."""
+    """One strike of one recording with its own fit, as of `fit run`."""
 
     recording: str  # name of the bag
-    index: int  # counted from 1, as found in the recording
-    seconds: float  # since the recording's first stamp
-    start_ns: int  # of the free response
-    found: Window | None  # None: there was nothing to compare with
+    index: int  # counted from 1 in the recording
+    seconds: float  # [s] since the recording's first stamp
+    start_ns: int  # [ns] of the free response
+    found: Window | None  # None: no free response to compare
     alone: Estimate  # its own fit
 
     @property
     def window(self) -> Window:
-        """What is compared; a strike in a joint fit always has one."""
+        """Window of the free response; every strike of a pooled fit has one."""
         assert self.found is not None
         return self.found
 
 
 @dataclass(frozen=True, eq=False)
 class PooledFit:
-    """One fit of several strikes."""
+    """Pooled fit of several strikes with covariances and heterogeneity."""
 
     strikes: tuple[Strike, ...]
-    left_out: tuple[Strike, ...]  # that had no estimate of their own
+    left_out: tuple[Strike, ...]  # without an estimate of their own
     noisy: NoisySolution
     shared_covariance: Array  # (s, s)
     own_covariance: tuple[Array, ...]  # (q, q) of each strike
-    between: dict[str, RandomEffects]  # of what each strike's own fit says
+    between: dict[str, RandomEffects]  # of the strikes' own estimates, by parameter
 
     @property
     def solution(self) -> PooledSolution:
-        """The values."""
+        """Solution of the pooled problem under its noise model."""
         return self.noisy.solution
 
     @property
     def residual_std(self) -> float:
-        """Of the samples [rad/s]: measured less predicted, for as many unknowns as there are."""
+        """Standard deviation [rad/s] of measured minus predicted rates, by the degrees of freedom."""
         problem = self.solution.problem
         squares = 0.0
         for k, run in enumerate(problem.runs):
@@ -79,12 +79,12 @@ class PooledFit:
 
     @property
     def quantile(self) -> float:
-        """Half of a 95 % interval per standard error."""
-        return float(student_t.ppf(0.975, max(self.solution.problem.degrees_of_freedom, 1)))
+        """Half of a 95 % interval per standard error: Student's t."""
+        return float(stdtrit(max(self.solution.problem.degrees_of_freedom, 1), 0.975))
 
 
 def strikes_of(fit: RecordingFit) -> tuple[Strike, ...]:
-    """The strikes of a recording by number and time."""
+    """Strikes of a fitted recording."""
     start = first_stamp(fit.recording)
     return tuple(
         Strike(
@@ -100,7 +100,7 @@ def strikes_of(fit: RecordingFit) -> tuple[Strike, ...]:
 
 
 def usable(strikes: Sequence[Strike]) -> tuple[tuple[Strike, ...], tuple[Strike, ...]]:
-    """Strikes with an estimate of their own, and those without. Raises ParameterError if none has one."""
+    """Strikes with and without an estimate of their own. Raises ParameterError if none has one."""
     good = tuple(one for one in strikes if one.found is not None and one.alone.status == "ok")
     if not good:
         why = f"; the first says: {strikes[0].alone.message}" if strikes else ""
@@ -117,12 +117,12 @@ def fit_pooled(
     noise: str = "auto",
     oscillator: tuple[float, ...] = (),
 ) -> PooledFit:
-    """One fit of strikes that share `share`, biases or numbers of the bicycle.
+    """Pooled fit of strikes with shared unknowns `share`: biases or numbers of the bicycle.
 
-    The other unknowns are those of the strikes' own fits, `known` what was fixed in them. priors: of shared
-    unknowns, and of those of each strike. noise, and what is known of an oscillator: as for one strike, one
-    law for all; the strikes' own fits are made anew under it. Raises ParameterError for names that can't be
-    shared or aren't free, or if no strike can be fitted.
+    The other unknowns are those of the strikes' own fits; `known` are the values fixed in them. priors: of
+    shared unknowns and of each strike's own. noise, oscillator: as for one strike, one model for all, under
+    which the strikes' own fits are repeated. Raises ParameterError for names that can't be shared or aren't
+    free, or if no strike can be fitted.
     """
     check_known(share, SHAREABLE, "share")
     if len(set(share)) < len(share):
@@ -159,7 +159,7 @@ def fit_pooled(
 
 
 def _under_noise(one: Strike, noise: str, oscillator: tuple[float, ...]) -> Strike:
-    """The strike with its own fit, of the same unknowns, under another noise."""
+    """Strike with its own fit repeated for the same unknowns under another noise model."""
     settings = one.alone.settings or Settings()
     settings = replace(settings, free=one.alone.names, noise=noise, oscillator=oscillator)
     alone = fit_window(one.window, settings)
@@ -171,23 +171,19 @@ def _between(
 ) -> dict[str, RandomEffects]:
     """Random-effects mean of each parameter over the strikes' own fits.
 
-    Not of one with a prior, which is in each of them: they would agree by it.
+    Parameters with a prior are left out: the common prior makes the fits agree.
     """
-    answer = {}
+    means = {}
     for name in dict.fromkeys(name for one in strikes for name in one.alone.names if name not in priors):
-        pairs = [
-            (one.alone.parameters[name], one.alone.std[one.alone.names.index(name)])
-            for one in strikes
-            if name in one.alone.names
-        ]
+        pairs = [(one.alone[name].value, one.alone[name].std) for one in strikes if name in one.alone]
         values, std = (np.array(column, dtype=float) for column in zip(*pairs, strict=True))
         if (std > 0.0).all():
-            answer[name] = random_effects(values, std, method)
-    return answer
+            means[name] = random_effects(values, std, method)
+    return means
 
 
 def _covariances(noisy: NoisySolution) -> tuple[Array, tuple[Array, ...]]:
-    """Covariances of shared and own values: noise as the residuals have it, and what is known inexactly."""
+    """Covariances (s, s) of shared and (q, q) of own values, by noise and uncertain nuisance parameters."""
     solution, shared, own = noisy.solution, noisy.shared_covariance, list(noisy.own_covariance)
     problem = solution.problem
     blocks = [
@@ -197,7 +193,7 @@ def _covariances(noisy: NoisySolution) -> tuple[Array, tuple[Array, ...]]:
     priors = problem.prior_rows(problem.shared, solution.shared)
     for k, run in enumerate(problem.runs):
         names = {*problem.shared, *run.nonlinear, *problem.known}
-        for low, high, width in _inexact(run.window, names):
+        for low, high, width in _nuisance_steps(run.window, names):
             steps = []
             for window in (low, high):
                 moved = block_of(problem, replace(run, window=window), solution.shared, solution.own[k])
@@ -213,10 +209,11 @@ def _covariances(noisy: NoisySolution) -> tuple[Array, tuple[Array, ...]]:
     return shared, tuple(own)
 
 
-def _inexact(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, float]]:
-    """Pairs of windows that differ by what is known inexactly, and by how many standard deviations.
+def _nuisance_steps(window: Window, names: set[str]) -> Iterator[tuple[Window, Window, float]]:
+    """Pairs of windows that differ in one nuisance parameter, and their distance in standard deviations.
 
-    names: what is free or fixed, and so takes the place of what the window says.
+    The nuisance parameters are the measured speed and the strike time. names: parameters that are free or
+    fixed and so replace those of the window.
     """
     curve = window.speed
     spread = curve.covariance.copy()

@@ -1,10 +1,9 @@
-"""Pooled fits under autocorrelated noise: one noise model for all runs, estimated from all residuals.
+"""Pooled fits under autocorrelated noise, one noise model for all runs.
 
-Values and covariances follow the rules of a fit of one run (`tms_fit.least_squares.irls`): `auto` is
+Values and covariances follow the rules of a fit of one run (`tms_fit.least_squares.irls`). `auto` selects
 white noise unless the residuals are clearly autocorrelated, then an autoregressive process or an oscillator
-under white noise, whichever has the lower BIC over all runs. Residuals that `auto` takes for autoregressive
-are more often due to a wrong model, so the values stay those of least squares, with their sandwich covariance
-under this noise.
+with white noise, by the lower BIC over all runs. Autoregressive residuals are more often due to model
+misspecification, so `auto` keeps the least-squares values, with their sandwich covariance under this noise.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from tms_calibrate.pooled_solver import Linearised, linearised_run, solve_pooled
 from tms_calibrate.sandwich_covariance import sandwich_covariance
 
 MODELS = ("auto", "white", "ar", "oscillator")
-MAX_ROUNDS = 10  # of noise and values in turn
+MAX_ITERATIONS = 10  # of noise and values in turn
 TOLERANCE = 0.01  # last change of the values, in standard errors
-LEAST_LIKELY = 8.0  # fall of the log-likelihood from which on a candidate has no weight
-GRID_HALF_WIDTH = 4.0  # standard deviations of a law's number, to which candidates for it are tried
+MAX_LOG_LIKELIHOOD_LOSS = 8.0  # below the maximum, for a candidate to keep its weight
+GRID_HALF_WIDTH = 4.0  # standard deviations of a noise parameter on either side of its mean
 GRID_REFINEMENTS = 2
 
 _Found = ar.ARCandidates | Array  # processes, or oscillators (g, 3)
@@ -50,9 +49,9 @@ class NoisySolution:
 
 @dataclass(frozen=True, eq=False)
 class _NoiseModel:
-    """Candidates for the noise of all runs, the posterior over them, and the likeliest noise of each run."""
+    """Candidate noise models of all runs, their posterior, and the likeliest noise of each run."""
 
-    found: dict[int, _Found]  # candidates for each channel
+    found: dict[int, _Found]  # candidates by channel
     pieces: tuple[Piece, ...]
     posterior: Posterior
     noises: tuple[ColoredNoise, ...]
@@ -65,7 +64,10 @@ class _NoiseModel:
 def solve_with_noise(
     problem: PooledProblem, model: str = "auto", stated: Sequence[float] = ()
 ) -> NoisySolution:
-    """Solve under a noise model of MODELS; stated: what is known of an oscillator. Raises ParameterError."""
+    """Solve under a noise model of MODELS. Raises ParameterError for another one.
+
+    stated: known oscillator parameters: frequency [Hz], decay time [s], standard deviation [rad/s].
+    """
     check_known((model,), MODELS, "noise")
     plain = _under_white_noise(problem)
     if plain.arrow is None:
@@ -91,13 +93,13 @@ def solve_with_noise(
 
 
 def _under_white_noise(problem: PooledProblem) -> PooledSolution:
-    """Least squares; with priors, the noise that weighs the samples against them is that of the residuals."""
+    """Least squares; with priors, the noise of the samples is estimated from the residuals."""
     if not problem.priors:
         return solve_pooled(problem)
     bare = solve_pooled(replace(problem, priors={}))
     size = _std(bare) if bare.arrow is not None else _spread(problem)
     solution = solve_pooled(replace(problem, noise=size))
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         if solution.arrow is None:
             break
         noise = _std(solution)
@@ -109,7 +111,7 @@ def _under_white_noise(problem: PooledProblem) -> PooledSolution:
 
 
 def _std(solution: PooledSolution) -> float:
-    """Deviation [rad/s] of the noise by what is left of the samples, for as many unknowns as there are."""
+    """Standard deviation [rad/s] of the residuals, by degrees of freedom without priors; 1 if zero."""
     problem = solution.problem
     unknowns = len(problem.shared) + sum(len(run.names) for run in problem.runs)
     squares = sum(float(residual @ residual) for residual in solution.residuals)
@@ -117,7 +119,7 @@ def _std(solution: PooledSolution) -> float:
 
 
 def _spread(problem: PooledProblem) -> float:
-    """Deviation of all that was measured: a noise that is too large rather than too small."""
+    """Root mean square [rad/s] of the measurements, an upper bound of the noise; 1 if zero."""
     return math.sqrt(float(np.nanmean([np.nanmean(run.window.measured**2) for run in problem.runs]))) or 1.0
 
 
@@ -125,7 +127,7 @@ def _under(name: str, plain: PooledSolution, law: _NoiseModel, stated: Sequence[
     """Values and noise model estimated in turn under autocorrelated noise."""
     solution, problem = plain, replace(plain.problem, noise=1.0)
     bent = bool(problem.nonlinear or problem.priors) or any(run.nonlinear for run in problem.runs)
-    for _ in range(MAX_ROUNDS if bent else 1):  # what is linear is as good after one round
+    for _ in range(MAX_ITERATIONS if bent else 1):  # one iteration solves a linear problem
         before = solution
         runs = tuple(
             replace(run, rows=noise.rows) for run, noise in zip(problem.runs, law.noises, strict=True)
@@ -166,11 +168,11 @@ def _law(
     stated: Sequence[float],
     known: dict[int, _Found] | None = None,
 ) -> _NoiseModel:
-    """The noise model by the residuals, allowing for the unknowns that the fits have removed."""
+    """Noise model by restricted likelihood of the residuals, with the fitted unknowns marginalised."""
     problem = solution.problem
     goods = [np.isfinite(run.residual) for run in runs]
     times = [run.window.time for run in problem.runs]
-    looks = GRID_REFINEMENTS if known is None and len(runs) > 1 else 0
+    refinements = GRID_REFINEMENTS if known is None and len(runs) > 1 else 0
     found = _candidates(name, times, runs, stated) if known is None else known
     prior = problem.prior_rows(problem.shared, solution.shared)
     owns = [problem.prior_rows(run.names, own) for run, own in zip(problem.runs, solution.own, strict=True)]
@@ -179,8 +181,8 @@ def _law(
         made = []
         for k, run in enumerate(runs):
             own, rows = run.own, owns[k]
-            told = {*problem.known, *problem.runs[k].names}
-            start = strike_time_slope(problem.runs[k].window, told, solution.values(k))
+            given = {*problem.known, *problem.runs[k].names}
+            start = strike_time_slope(problem.runs[k].window, given, solution.values(k))
             if with_start and start is not None:
                 own = np.concatenate([own, start[:, :, None]], axis=2)
                 rows = np.concatenate([rows[0], np.zeros((len(rows[1]), 1))], axis=1), rows[1]
@@ -189,7 +191,7 @@ def _law(
 
     ratios: Array | None = None
     fitted = posterior(pieces(True), prior, ratios, with_own=False)
-    for _ in range(looks):  # all residuals determine the noise better than one run's
+    for _ in range(refinements):  # all runs determine the noise better than one run
         ratios = _refined_ratios(fitted)
         found = {c: _refined(one, fitted.weights.sum(axis=(1 - c, 2))) for c, one in found.items()}
         fitted = posterior(pieces(True), prior, ratios, with_own=False)
@@ -199,12 +201,12 @@ def _law(
 
 
 def _likelier(times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> str:
-    """Autoregressive noise or noise that oscillates, whichever has the lower BIC, by name."""
+    """Name of the noise model with the lower BIC: ar or oscillator."""
     return min(("ar", "oscillator"), key=lambda name: _bic(name, times, runs, stated))
 
 
 def _bic(name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]) -> float:
-    """Of all runs' residuals, each channel's noise at its likeliest."""
+    """BIC of a noise model for the residuals of all runs, at each channel's likeliest candidate."""
     goods, found = [np.isfinite(run.residual) for run in runs], _candidates(name, times, runs, stated)
     total, unknowns, count = 0.0, 0, sum(int(good.sum()) for good in goods)
     for c, one in found.items():
@@ -221,7 +223,7 @@ def _bic(name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: 
 
 
 def _size(found: _Found) -> int:
-    """Numbers of a law beside the deviation."""
+    """Number of noise parameters of a channel beside its standard deviation."""
     if isinstance(found, ar.ARCandidates):
         return len(found.further) + 1 if len(found.first) else 0
     return oscillator.UNKNOWNS if found[:, 2].any() else 0
@@ -230,7 +232,7 @@ def _size(found: _Found) -> int:
 def _candidates(
     name: str, times: Sequence[Array], runs: Sequence[Linearised], stated: Sequence[float]
 ) -> dict[int, _Found]:
-    """Candidates for the noise of each channel, by the residuals of all runs that measured it."""
+    """Candidate noise models by channel, from the residuals of all runs that measured it."""
     found: dict[int, _Found] = {}
     for c in range(2):
         pairs = [(time, run.residual[:, c]) for time, run in zip(times, runs, strict=True)]
@@ -242,12 +244,12 @@ def _candidates(
             found[c] = ar.candidates(residuals)
         else:
             grid = oscillator.candidates(when, residuals, stated)
-            found[c] = oscillator.with_weight(grid, when, residuals, LEAST_LIKELY)
+            found[c] = oscillator.with_weight(grid, when, residuals, MAX_LOG_LIKELIHOOD_LOSS)
     return found
 
 
 def _families(time: Array, good: NDArray[np.bool_], found: Mapping[int, _Found]) -> dict[int, Family]:
-    """The candidates of each channel at the samples of a run."""
+    """Candidate noise models by channel at the samples of a run: times (n,) [s], measured (n, 2)."""
     processes = {c: one for c, one in found.items() if isinstance(one, ar.ARCandidates)}
     oscillators = {c: one for c, one in found.items() if isinstance(one, np.ndarray)}
     return {
@@ -257,7 +259,7 @@ def _families(time: Array, good: NDArray[np.bool_], found: Mapping[int, _Found])
 
 
 def _refined(found: _Found, weights: Array) -> _Found:
-    """Processes closer to those that have weights (g,); oscillators are close already."""
+    """Autoregressive candidates refined around their weights (g,); an oscillator grid is fine already."""
     if not isinstance(found, ar.ARCandidates) or len(found.first) < 2:
         return found
     places = np.arctanh(found.first)
@@ -268,7 +270,7 @@ def _refined(found: _Found, weights: Array) -> _Found:
 
 
 def _refined_ratios(found: Posterior) -> Array:
-    """Ratios closer to those that have weight."""
+    """Refined grid of the ratios of the channels' noise around their posterior weights."""
     weights = found.weights.sum(axis=(0, 1))
     if len(weights) < 2:
         return found.ratios

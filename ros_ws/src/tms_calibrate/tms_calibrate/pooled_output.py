@@ -1,4 +1,4 @@
-"""The answer of `fit together`, as JSON and as tables for the terminal."""
+"""Pooled fits as JSON and as tables for the terminal."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tms_model.bicycle import Array
 from tms_calibrate.pooled_fit import PooledFit, Strike
 from tms_calibrate.random_effects import RandomEffects
 
-DOUBTFUL = 0.01  # p of Cochran's Q below which runs are said to differ
+HETEROGENEITY_P = 0.01  # p of Cochran's Q below which the strikes differ
 
 
 def together_json(fit: PooledFit, recordings: Sequence[RecordingFit]) -> dict[str, Any]:
-    """Shared and own values with intervals, and for each parameter how the strikes' own fits differ."""
+    """Shared and own values with intervals, and the heterogeneity of each parameter, SI units."""
     problem = fit.solution.problem
     found = fit.solution.arrow is not None
     return {
@@ -41,7 +41,7 @@ def together_json(fit: PooledFit, recordings: Sequence[RecordingFit]) -> dict[st
 
 
 def heterogeneity_json(one: RandomEffects) -> dict[str, Any]:
-    """All that is known of a random-effects mean."""
+    """Random-effects mean with its intervals and heterogeneity."""
     return {**asdict(one), "ci95": list(one.ci95), "prediction95": list(one.prediction95)}
 
 
@@ -68,7 +68,7 @@ def _intervals(names: Sequence[str], values: Array, covariance: Array, quantile:
 
 
 def together_table(fit: PooledFit) -> str:
-    """Shared values, own initial lean rates, and a line per parameter of how the strikes differ."""
+    """Table of shared values, own values of each strike, and heterogeneity of each parameter."""
     lines = [f"{len(fit.strikes)} strikes in one fit: {fit.solution.message or fit.solution.status.value}"]
     lines += [f"left out: strike {one.index} of {one.recording}: {one.alone.message}" for one in fit.left_out]
     if fit.solution.arrow is None:
@@ -95,7 +95,7 @@ def together_table(fit: PooledFit) -> str:
 
 
 def _noise_in_words(fit: PooledFit) -> str:
-    """What the noise of all strikes is taken for, and which values that gives."""
+    """Noise model of all strikes in words, and the estimator of the values."""
     parameters = fit.noisy.parameters
     if fit.noisy.model == "white":
         return f"white, {parameters['noise_std']:.3g} rad/s"
@@ -109,7 +109,7 @@ def _noise_in_words(fit: PooledFit) -> str:
 
 
 def between_table(between: dict[str, RandomEffects]) -> str:
-    """Random-effects means with Cochran's Q and I2, one line each, with a plain word."""
+    """Table of random-effects means with Cochran's Q and I2, and whether the strikes agree."""
     lines = [
         f"{'each strike by itself':24} {'mean':>11} {'std error':>10} {'between':>10} {'Q':>9} {'p':>8}"
         f" {'I2':>6}"
@@ -117,7 +117,7 @@ def between_table(between: dict[str, RandomEffects]) -> str:
     for name, one in between.items():
         if one.count < 2:
             continue
-        word = "differ" if one.p < DOUBTFUL else "agree"
+        word = "differ" if one.p < HETEROGENEITY_P else "agree"
         lines.append(
             f"{name:24} {one.mean:+11.5f} {one.std:10.5f} {one.between_std:10.5f} {one.q:9.2f} {one.p:8.2g}"
             f" {100.0 * one.i2:5.1f}%  {one.count} strikes {word}"

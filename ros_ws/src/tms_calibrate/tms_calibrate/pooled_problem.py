@@ -1,7 +1,7 @@
-"""Pooled problems: several free responses with own and shared unknowns, and their solutions.
+"""Pooled problems of several free responses with own and shared unknowns, and their solutions.
 
-Unknowns are of each run or shared by all runs; a prediction is linear in some, and shaped by others: numbers
-of the bicycle and parameters of a run such as `speed`.
+Predictions are linear in some unknowns and nonlinear in others: numbers of the bicycle, and parameters of a
+run such as `speed`.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from tms_model.measured import Measured
 from tms_model.parameters import PARAMETER_NAMES
 from tms_model.steer_elements import STEER_ELEMENT_NAMES
 
-CONTROLLED = "lean_rate_gain"  # the run's controller, as in a fit of one run; not the bicycle's own element
+CONTROLLER_GAIN = "lean_rate_gain"  # of the run's controller, not the bicycle's own element
 BICYCLE_NUMBERS = tuple(
-    name for name in (*PARAMETER_NAMES, *STEER_ELEMENT_NAMES, *MATRIX_ENTRIES) if name != CONTROLLED
+    name for name in (*PARAMETER_NAMES, *STEER_ELEMENT_NAMES, *MATRIX_ENTRIES) if name != CONTROLLER_GAIN
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One free response and the unknowns that are its own."""
+    """One free response and its own unknowns."""
 
     window: Window
     linear: tuple[str, ...]  # of LINEAR
     nonlinear: tuple[str, ...] = ()  # such as speed
-    rows: Whitener | None = None  # samples (n, 2, ...) as rows (m, ...) of white noise; None: each by itself
+    rows: Whitener | None = None  # samples (n, 2, ...) to rows (m, ...) of white noise; None: identity
 
     @property
     def names(self) -> tuple[str, ...]:
-        """In the order of a solution's own values."""
+        """Names in the order of a solution's own values."""
         return (*self.linear, *self.nonlinear)
 
     def select(self, values: Array) -> Array:
-        """Whitener (m, ...) of values (n, 2, ...), those that were measured."""
+        """Whitened rows (m, ...) of values (n, 2, ...) at the measured samples."""
         good = np.isfinite(self.window.measured)
         return values[good] if self.rows is None else self.rows(values)
 
@@ -55,7 +55,7 @@ class PooledProblem:
     nonlinear: tuple[str, ...] = ()  # shared, of BICYCLE_NUMBERS or a run's
     known: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, Measured] = field(default_factory=dict)  # shared unknowns; others: of each run's own
-    noise: float = 1.0  # standard deviation that one row stands for, against the priors; [rad/s] of a sample
+    noise: float = 1.0  # standard deviation of one row, against the priors; [rad/s] for samples
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -64,17 +64,17 @@ class PooledProblem:
 
     @property
     def count(self) -> int:
-        """Scalar measurements."""
+        """Number of scalar measurements."""
         return sum(int(np.isfinite(run.window.measured).sum()) for run in self.runs)
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Measurements, those that a prior stands for included, less unknowns."""
+        """Number of measurements and priors less unknowns."""
         unknowns = [name for run in self.runs for name in run.names] + list(self.shared)
         return self.count + sum(name in self.priors for name in unknowns) - len(unknowns)
 
     def prior_rows(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Whitener (k, p) that priors add for unknowns (p,), and how far (k,) the values are from them."""
+        """Rows (k, p) of the priors on unknowns (p,), and their residuals (k,) at the values."""
         held = [name for name in names if name in self.priors]
         rows, off = np.zeros((len(held), len(names))), np.zeros(len(held))
         for row, name in enumerate(held):
@@ -86,7 +86,7 @@ class PooledProblem:
 
 @dataclass(frozen=True, eq=False)
 class PooledSolution:
-    """Solution of a pooled problem; without values where the status is not_observable."""
+    """Solution of a pooled problem, without values where the status is not_observable."""
 
     problem: PooledProblem
     status: Status
@@ -94,9 +94,7 @@ class PooledSolution:
     shared: Array = field(default_factory=lambda: np.empty(0))  # (s,)
     own: tuple[Array, ...] = ()  # (q,) of each run: linear, then nonlinear
     residuals: tuple[Array, ...] = ()  # (m,) of the rows of each run; [rad/s] where they are samples
-    arrow: BlockArrowheadSolution | None = (
-        None  # rows in units of the noise: covariances if it is of that size
-    )
+    arrow: BlockArrowheadSolution | None = None  # of rows in units of the noise: covariances
 
     @property
     def shared_values(self) -> dict[str, float]:
@@ -110,7 +108,7 @@ class PooledSolution:
 
     @property
     def variance(self) -> float:
-        """Of the rows, for as many unknowns as there are: [rad^2/s^2] where they are samples."""
+        """Residual variance of the rows by the degrees of freedom; [rad^2/s^2] where they are samples."""
         squares = sum(float(residual @ residual) for residual in self.residuals)
         for names, values in (
             (self.problem.shared, self.shared),

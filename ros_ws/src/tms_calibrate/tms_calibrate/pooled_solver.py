@@ -1,7 +1,4 @@
-"""Pooled fits as separable least-squares problems: residual rows of each run, solved by variable projection.
-
-A run has unknowns of its own; others are shared by all runs, numbers of the bicycle among them.
-"""
+"""Pooled fits by variable projection, one residual block per run."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ from tms_model.changes import numbers_of
 
 from tms_calibrate.pooled_problem import BICYCLE_NUMBERS, PooledProblem, PooledSolution, Run
 
-DIFFERENCE_STEP = 1e-4  # of finite differences, in sizes of a parameter
+DIFFERENCE_STEP = 1e-4  # of finite differences, relative to `size_of` a parameter
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A run linearised around some values, sample by sample."""
+    """Linearised prediction and residuals of a run, sample by sample."""
 
     own: Array  # (n, 2, q) derivatives of the prediction
     shared: Array  # (n, 2, s)
@@ -36,7 +33,7 @@ class Linearised:
 
 
 def model_of(window: Window, values: Mapping[str, float]) -> Predictor:
-    """Predictor of a window for numbers of the bicycle and the run by name; others as the window says."""
+    """Predictor of a window for parameters of bicycle and run by name; others are those of the window."""
     return predictor(_with_numbers(window, values), _of_the_run(values))
 
 
@@ -46,7 +43,7 @@ def _with_numbers(window: Window, values: Mapping[str, float]) -> Window:
 
 
 def _of_the_run(values: Mapping[str, float]) -> dict[str, float]:
-    """Those that aren't the bicycle's: a steer damper would count twice."""
+    """Parameters of the run; those of the bicycle are left out, else a steer damper would count twice."""
     return {
         name: value for name, value in values.items() if name in NONLINEAR and name not in BICYCLE_NUMBERS
     }
@@ -58,16 +55,16 @@ def _changed(bicycle: Bicycle, numbers: tuple[tuple[str, float], ...]) -> Bicycl
 
 
 def size_of(problem: PooledProblem, name: str) -> float:
-    """What counts as a large change of a parameter: its prior's standard deviation, its value, or 1."""
+    """Scale of a parameter: its prior standard deviation, its magnitude, or 1."""
     if name in problem.priors:
         return problem.priors[name].deviation
     return abs(_start(problem.runs[0].window, name)) or 1.0
 
 
 def solve_pooled(problem: PooledProblem, start: Array | None = None) -> PooledSolution:
-    """Solve a pooled problem.
+    """Solution of a pooled problem; a prediction that fails counts as not observable.
 
-    start: first shared nonlinear values (k,); None: means of the priors, or values of the first run.
+    start: initial shared nonlinear values (k,); None: prior means, or values of the first run.
     """
     try:
         return _solution(problem, varpro.solve(*_rows(problem, start)))
@@ -76,12 +73,12 @@ def solve_pooled(problem: PooledProblem, start: Array | None = None) -> PooledSo
 
 
 def linearise(problem: PooledProblem, shared: Array) -> PooledSolution:
-    """The problem around shared nonlinear values (k,), solved for the linear unknowns."""
+    """Solution for the linear unknowns at shared nonlinear values (k,)."""
     return _solution(problem, varpro.linearise(*_rows(problem, shared)))
 
 
 def _rows(problem: PooledProblem, start: Array | None) -> tuple[list[ResidualBlock], Unknowns]:
-    """The residual block of each run, and the shared unknowns."""
+    """Residual block of each run, and the shared unknowns."""
     first = problem.runs[0].window
     priors = {name: (one.value, one.deviation) for name, one in problem.priors.items()}
 
@@ -98,7 +95,7 @@ def _rows(problem: PooledProblem, start: Array | None) -> tuple[list[ResidualBlo
 
 
 def _window_rows(problem: PooledProblem, run: Run) -> WindowRows:
-    """The residual rows of a run, in units of the problem's noise."""
+    """Residual rows of a run, in units of the problem's noise."""
     window = run.window
     fixed = {name: value for name, value in problem.known.items() if name not in LINEAR}
     return WindowRows(
@@ -113,14 +110,14 @@ def _window_rows(problem: PooledProblem, run: Run) -> WindowRows:
 
 
 def _start(window: Window, name: str) -> float:
-    """Value of a nonlinear parameter before anything is fitted."""
+    """Initial value of a nonlinear parameter."""
     if name in BICYCLE_NUMBERS:
         return numbers_of(window.bicycle).get(name, 0.0)
     return start_value(window, name)
 
 
 def _with_priors(problem: PooledProblem, names: tuple[str, ...], block: Block, values: Array) -> Block:
-    """A run's rows, and one more for each prior of its own unknowns."""
+    """Rows of a run, followed by one row for each prior on its own unknowns."""
     rows, off = problem.prior_rows(names, values)
     if not len(off):
         return block
@@ -132,7 +129,7 @@ def _with_priors(problem: PooledProblem, names: tuple[str, ...], block: Block, v
 
 
 def block_of(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Block:
-    """A run's derivatives and residuals at given values, in units of the problem's noise, and its priors."""
+    """Jacobian and residuals of a run at given values, in units of the problem's noise, with its priors."""
     found = linearised_run(problem, run, shared, own)
     block = Block(
         run.select(found.own) / problem.noise,
@@ -143,7 +140,7 @@ def block_of(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Blo
 
 
 def linearised_run(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Linearised:
-    """Derivatives by a run's own unknowns and by shared ones at given values (q,) and (s,), and residuals."""
+    """Jacobian by own and shared unknowns at given values (q,) and (s,), and residuals of a run."""
     values = {
         **problem.known,
         **dict(zip(problem.shared, shared.tolist(), strict=True)),
@@ -170,7 +167,7 @@ def _slope(
     name: str,
     values: Mapping[str, float],
 ) -> Array:
-    """Change (n, 2) of the prediction per unit of a nonlinear parameter."""
+    """Derivative (n, 2) of the predicted rates by a nonlinear parameter, [rad/s] per unit."""
     if name in NONLINEAR:
         by = derivative(_with_numbers(window, nonlinear), _of_the_run(nonlinear), name)
         return by.predict(values)
@@ -183,7 +180,7 @@ def _slope(
 
 
 def _solution(problem: PooledProblem, found: Solution) -> PooledSolution:
-    """The values with their residuals, or why there are none."""
+    """Pooled solution with residuals, or with a message where the data do not determine it."""
     if found.arrow is None:
         names = dict.fromkeys((*problem.shared, *(name for run in problem.runs for name in run.names)))
         text = (
@@ -193,7 +190,7 @@ def _solution(problem: PooledProblem, found: Solution) -> PooledSolution:
     text = f"no minimum after {MAX_EVALUATIONS} steps; free fewer parameters or give priors"
     residuals = []
     for run, rows in zip(problem.runs, found.blocks, strict=True):
-        priors = sum(name in problem.priors for name in run.names)  # whose rows come last
+        priors = sum(name in problem.priors for name in run.names)  # their rows come last
         residuals.append(problem.noise * rows.target[: len(rows.target) - priors])
     return PooledSolution(
         problem=problem,

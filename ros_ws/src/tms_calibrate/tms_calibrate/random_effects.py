@@ -1,8 +1,8 @@
-"""Random-effects model of meta-analysis: mean over runs that differ by more than their standard errors.
+"""Random-effects model of meta-analysis: mean, heterogeneity and prediction interval over runs.
 
-A value y_i with standard error s_i was found in each of k runs; its true value varies from run to run with a
-standard deviation tau about the mean. Cochran's Q asks whether tau may be 0, I2 = (Q - (k - 1)) / Q says
-which share of the scatter is not explained by the standard errors.
+Each of k runs has an estimate y_i with standard error s_i; its true value varies from run to run with
+standard deviation tau about the mean. Cochran's Q tests tau = 0; I2 = (Q - (k - 1)) / Q is the share of the
+scatter that the standard errors do not explain.
 
 References: R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986), doi
 10.1016/0197-2456(86)90046-2; W. Viechtbauer, J. Educ. Behav. Stat. 30 (2005), doi 10.3102/10769986030003261
@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2
-from scipy.stats import t as student_t
+from scipy.special import chdtrc, stdtrit
 from tms_model import ParameterError
 from tms_model.bicycle import Array
 
@@ -27,16 +26,16 @@ METHODS = ("reml", "dersimonian_laird")
 
 @dataclass(frozen=True)
 class RandomEffects:
-    """Mean over k runs and how they differ. NaN where k is too small to tell."""
+    """Mean over k runs and their heterogeneity; NaN where k is too small."""
 
     count: int  # k
     mean: float
     std: float  # standard error of the mean; not below the one of Hartung and Knapp
     ci95: tuple[float, float]
     between_std: float  # tau, of the true values from run to run
-    prediction95: tuple[float, float]  # where a further run's true value is expected
+    prediction95: tuple[float, float]  # of the true value of a further run
     q: float  # Cochran's Q
-    p: float  # of a Q as large as this one if the runs were alike
+    p: float  # of a Q at least as large if tau = 0
     i2: float  # share of the scatter that the standard errors don't explain
     method: str
 
@@ -65,10 +64,10 @@ def random_effects(values: Array, std: Array, method: str = "reml") -> RandomEff
     weights = 1.0 / (variances + between)
     mean = float(weights @ values / weights.sum())
     scatter = float(weights @ (values - mean) ** 2) / (count - 1)
-    # Never below what the model itself says: few runs may agree by chance.
+    # Not below the standard error of the model: few runs may agree by chance.
     error = math.sqrt(max(scatter, 1.0) / weights.sum())
-    half = float(student_t.ppf(0.975, count - 1)) * error
-    reach = float(student_t.ppf(0.975, max(count - 2, 1))) * math.sqrt(between + error**2)
+    half = float(stdtrit(count - 1, 0.975)) * error
+    reach = float(stdtrit(max(count - 2, 1), 0.975)) * math.sqrt(between + error**2)
     return RandomEffects(
         count=count,
         mean=mean,
@@ -77,7 +76,7 @@ def random_effects(values: Array, std: Array, method: str = "reml") -> RandomEff
         between_std=math.sqrt(between),
         prediction95=(mean - reach, mean + reach),
         q=q,
-        p=float(chi2.sf(q, count - 1)),
+        p=float(chdtrc(count - 1, q)),
         i2=max(0.0, 1.0 - (count - 1) / q) if q > 0.0 else 0.0,
         method=method,
     )
@@ -91,14 +90,14 @@ def cochran_q(values: Array, variances: Array) -> float:
 
 
 def _moments(values: Array, variances: Array) -> float:
-    """Variance between runs at which Q is what it is expected to be (DerSimonian and Laird, Eq. 8)."""
+    """Variance between runs by the method of moments on Q (DerSimonian and Laird, Eq. 8)."""
     weights = 1.0 / variances
     spread = float(weights.sum()) - float(weights @ weights) / float(weights.sum())
     return max(0.0, (cochran_q(values, variances) - (len(values) - 1)) / spread)
 
 
 def _reml(values: Array, variances: Array) -> float:
-    """Variance between runs of the largest restricted likelihood, 0 where it falls from 0 on."""
+    """Variance between runs by restricted maximum likelihood, 0 where the likelihood falls from 0 on."""
 
     def slope(between: float) -> float:
         """Derivative of twice the restricted log-likelihood."""

@@ -1,6 +1,6 @@
 """Sandwich (robust) covariance of least-squares estimates under autoregressive noise.
 
-    cov b = (J'J)^-1 J' V J (J'J)^-1,   V averaged over what the noise may be
+    cov b = (J'J)^-1 J' V J (J'J)^-1,   V averaged over the posterior of the noise
 
 Reference: P. J. Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221-233, for the form.
 """
@@ -22,7 +22,7 @@ from tms_calibrate.pooled_solver import Linearised
 def sandwich_covariance(
     solution: PooledSolution, runs: Sequence[Linearised], pieces: Sequence[Piece], found: Posterior
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Covariance (s, s) of shared values and (q, q) of each run's own, without priors."""
+    """Covariances (s, s) of shared values and (q, q) of each run's own, without priors."""
     assert solution.arrow is not None
     inverse = solution.arrow.shared_inverse / solution.problem.noise**2
     lags = _mean_autocovariances(pieces, found)
@@ -38,7 +38,7 @@ def sandwich_covariance(
 def _influence(run: Linearised, piece: Piece, lags: dict[int, Array]) -> tuple[Array, Array, Array, Array]:
     """E V E' (q, q), E S (q, s), P' V P (s, s) and E V P (q, s) of one run.
 
-    E (q, m) makes its own values of residuals, P (m, s) is S with what its own unknowns imitate taken out.
+    E (q, m) is the pseudoinverse of the run's own columns, P (m, s) is S projected orthogonally to them.
     """
     good = np.isfinite(run.residual)
     own, shared = run.own[good], run.shared[good]
@@ -56,8 +56,8 @@ def _influence(run: Linearised, piece: Piece, lags: dict[int, Array]) -> tuple[A
 
 
 def _mean_autocovariances(pieces: Sequence[Piece], found: Posterior) -> dict[int, Array]:
-    """Autocovariances (lags,) [rad^2/s^2] of each channel, averaged over what the noise may be."""
-    answer = {}
+    """Autocovariances (lags,) [rad^2/s^2] of each channel, averaged over the posterior."""
+    averages = {}
     for c in {c for piece in pieces for c in piece.families}:
         families = [piece.families[c] for piece in pieces if c in piece.families]
         members = [one.members for one in families if isinstance(one, ARFamily)]
@@ -65,5 +65,5 @@ def _mean_autocovariances(pieces: Sequence[Piece], found: Posterior) -> dict[int
         sizes = found.weights * found.variances * np.exp(2.0 * c * found.ratios)
         sizes = sizes.sum(axis=(1 - c, 2))
         each = autocovariances([one.process for one in members[0]], longest)
-        answer[c] = sizes @ each
-    return answer
+        averages[c] = sizes @ each
+    return averages
