@@ -16,7 +16,7 @@ from tms_fit.settings import Settings
 
 
 class Status(str, Enum):
-    """Whether an estimator found the parameters; equal to its word in messages and JSON."""
+    """Status of an estimate; equal to its word in messages and JSON."""
 
     OK = "ok"
     NOT_CONVERGED = "not_converged"
@@ -25,7 +25,7 @@ class Status(str, Enum):
 
     @property
     def text(self) -> str:
-        """What the status means, in one phrase."""
+        """Meaning of the status in one phrase."""
         return _STATUS_TEXTS[self]
 
     def __str__(self) -> str:
@@ -80,22 +80,22 @@ class Estimate:
     residual_std: float = float("nan")  # [rad/s]
     vaf: dict[str, float] = field(default_factory=dict)  # per channel, 1 is perfect
     sample_count: int = 0  # scalar measurements used
-    residual_autocorrelation: float = float(
-        "nan"
-    )  # at lag one, of the channel where it is largest; 0 when white
-    known: Mapping[str, float] = field(default_factory=dict)  # values of all parameters that were not free
+    residual_autocorrelation: float = math.nan  # at lag one, largest of the channels; 0 for white noise
+    known: Mapping[str, float] = field(default_factory=dict)  # values of the parameters that were not free
     predicted: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) [rad/s]
     residual: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) [rad/s], NaN: not used
-    whitened: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2), unit variance if all is right
+    whitened: Array = field(
+        default_factory=lambda: np.empty((0, 2))
+    )  # (n, 2), of unit variance under the noise model
     jacobian: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p) of predicted by values
     noise: Mapping[str, float] = field(default_factory=dict)  # parameters of the noise model, by name
     noise_model: str = "white"
     loss: str = "squares"  # of LOSSES, as used
-    chosen: tuple[str, ...] = ()  # what the data decided where the settings left it open, and why
+    chosen: tuple[str, ...] = ()  # selections by the data where the settings left them open, with reasons
     log_likelihood: float = float("nan")  # at the maximum, noise parameters included
     unknown_count: int = 0  # of the likelihood: parameters and noise parameters
     settings: Settings | None = None  # as asked for
-    intervals: Array | None = None  # (p, 2) 95 % intervals by another way than the covariance
+    intervals: Array | None = None  # (p, 2) 95 % intervals by profile or bootstrap; None: by the covariance
 
     def __getitem__(self, name: str) -> Parameter:
         """A parameter by name. Raises KeyError where it was not estimated."""
@@ -128,12 +128,12 @@ class Estimate:
 
     @property
     def complete(self) -> dict[str, float]:
-        """All values that make the prediction, found and known."""
+        """Values of all parameters of the prediction by name, estimated and known."""
         return {**self.known, **self.parameters}
 
     @property
     def nonlinear(self) -> dict[str, float]:
-        """Those of `complete` that `tms_fit.response.prediction.predictor` must be told."""
+        """Nonlinear parameters of `complete`, the arguments of `tms_fit.response.prediction.predictor`."""
         return shaping(self.complete)
 
     @property
@@ -156,7 +156,7 @@ class Estimate:
 
     @property
     def ci95(self) -> Array:
-        """95 % intervals (p, 2): `intervals`, or by Student's t, right if the noise is as its model says."""
+        """95 % intervals (p, 2): `intervals`, or by Student's t under the noise model."""
         if self.intervals is not None:
             return self.intervals
         half = self.quantile * self.std
@@ -164,24 +164,24 @@ class Estimate:
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion; smaller is better, among fits of the same samples."""
+        """Akaike information criterion (AIC); comparable among fits of the same samples."""
         return 2.0 * self.unknown_count - 2.0 * self.log_likelihood
 
     @property
     def bic(self) -> float:
-        """Schwarz's criterion; smaller is better, among fits of the same samples."""
+        """Bayesian information criterion (BIC); comparable among fits of the same samples."""
         return self.unknown_count * math.log(max(self.sample_count, 1)) - 2.0 * self.log_likelihood
 
 
 class Estimates(tuple[Estimate, ...]):
-    """Estimates of one strike in the order asked for; `estimates["kalman_rts"]` is that of an estimator."""
+    """Estimates of one strike in the requested order; `estimates["kalman_rts"]` looks up an estimator."""
 
     @overload
     def __getitem__(self, key: str | SupportsIndex) -> Estimate: ...
     @overload
     def __getitem__(self, key: slice) -> tuple[Estimate, ...]: ...
     def __getitem__(self, key: str | SupportsIndex | slice) -> Estimate | tuple[Estimate, ...]:
-        """The estimate of an estimator, or by place. Raises KeyError for an estimator that was not asked."""
+        """Estimate by estimator name or index. Raises KeyError for an estimator that was not requested."""
         if not isinstance(key, str):
             return super().__getitem__(key)
         for one in self:

@@ -9,7 +9,7 @@ from typing import Any
 from tms_fit.diagnostics.output import diagnostics_json, diagnostics_lines, residual_tests_json
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimate import Estimate, Status
-from tms_fit.least_squares.make_estimate import COLOURED
+from tms_fit.least_squares.make_estimate import AUTOCORRELATION_WARNING
 from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.settings import Settings
@@ -119,7 +119,7 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
             known = strike.window.start_speed if strike.window else math.nan
             speed = f"{estimate.complete.get('speed', known):7.3f}".replace("nan", "  -")
             doubted = strike.misspecification is not None and estimate.names == strike.estimates[0].names
-            mark = " *" if estimate.residual_autocorrelation > COLOURED else ""
+            mark = " *" if estimate.residual_autocorrelation > AUTOCORRELATION_WARNING else ""
             mark += " ?" if doubted else ""
             lines.append(f"{when:10.4f} {speed}  {estimate.estimator:14} {_in_words(estimate)}{mark}")
     lines.extend(_reasons(fit))

@@ -1,1 +1,1 @@
-"""Least squares by variable projection: what the bicycle predicts, the noise, the outliers, the answer."""
+"""Separable nonlinear least squares with noise models, robust losses and censored samples."""

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from tms_model.bicycle import Array
 
-SMALLEST_SINGULAR_VALUE = 1e-9  # of scaled columns, per largest, for columns that count as independent
+SMALLEST_SINGULAR_VALUE = 1e-9  # of scaled columns, relative to the largest, for independent columns
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Rows of one block."""
+    """Rows of one block: Jacobian by own and shared unknowns, and target."""
 
     own: Array  # O (m, q)
     shared: Array  # S (m, s)
@@ -30,7 +30,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class BlockArrowheadSolution:
-    """Best values, and their covariance per unit variance of the rows."""
+    """Least-squares values, and their covariance per unit variance of the rows."""
 
     own: tuple[Array, ...]  # (q,) of each block
     shared: Array  # (s,)
@@ -57,7 +57,7 @@ class BlockArrowhead:
         return np.split(whole, np.cumsum([len(one) for one in left]))
 
     def solve(self, blocks: Sequence[Block], prior_target: Array) -> BlockArrowheadSolution:
-        """The solution for the blocks whose columns were factorized; prior_target: p (k,)."""
+        """Solution for the blocks whose columns were factorized; prior_target: p (k,)."""
         left = [b.target - q @ (q.T @ b.target) for b, (q, _) in zip(blocks, self.own, strict=True)]
         shared_q, shared_r = self.shared
         shared = shared_r @ (shared_q.T @ np.concatenate([*left, prior_target]))
@@ -76,10 +76,10 @@ class BlockArrowhead:
 def factorize(
     blocks: Sequence[Block], prior: Array, smallest: float = SMALLEST_SINGULAR_VALUE
 ) -> BlockArrowhead | None:
-    """Factors, or None where columns are not independent.
+    """QR factors, or None where columns are not independent.
 
-    prior: P (k, s), (0, s) for none. smallest: singular value per largest from which on columns count as
-    independent.
+    prior: P (k, s), (0, s) for none. smallest: least singular value of independent columns, relative to the
+    largest.
     """
     own = []
     for block in blocks:
@@ -102,7 +102,7 @@ def solve_block_arrowhead(
     prior_target: Array,
     smallest: float = SMALLEST_SINGULAR_VALUE,
 ) -> BlockArrowheadSolution | None:
-    """The solution, or None where a block's rows do not determine its own unknowns, or all rows b.
+    """Least-squares solution, or None where a block's rows do not determine its own unknowns, or all rows b.
 
     prior: P (k, s), prior_target: p (k,); (0, s) and (0,) for none. smallest: as for `factorize`.
     """

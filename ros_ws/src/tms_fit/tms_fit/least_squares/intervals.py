@@ -1,13 +1,12 @@
 """Confidence intervals by profile likelihood and by block bootstrap.
 
-`profile`: the increase of the sum of squares with one parameter fixed and all others fitted again. It is
-scaled to agree, close to the estimate, with the stated standard error, which includes other uncertainty
-(autocorrelated noise, speed, strike time). For a response that is linear in its parameters it is the interval
-by the covariance.
+`profile`: increase of the sum of squares with one parameter fixed and all others refitted. It is scaled to
+agree near the estimate with the stated standard error, which includes other uncertainty (autocorrelated
+noise, speed, strike time). For a response linear in its parameters it equals the interval by the covariance.
 
-`bootstrap`: residuals, resampled in blocks and added to the prediction, are fitted again by one Gauss-Newton
-step each, with nuisance parameters drawn from their distribution. It assumes no distribution, but needs a
-window of many blocks: noise that is correlated over more than a block is underestimated.
+`bootstrap`: residuals resampled in blocks, added to the prediction and refitted by one Gauss-Newton step
+each, with nuisance parameters drawn from their distribution. It assumes no distribution, but needs a window
+of many blocks: it underestimates noise that is correlated over more than a block.
 
 References: D. M. Bates and D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley (1988),
 doi 10.1002/9780470316757, section 6.1 (profile t); H. R. Kuensch, Ann. Statist. 17 (1989), doi
@@ -32,7 +31,7 @@ from tms_fit.least_squares.problem import Problem, solve
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
-MAX_DISTANCE = 8.0  # standard errors from the estimate within which an end is searched
+MAX_DISTANCE = 8.0  # standard errors between the estimate and an end of its interval
 PROFILE_POINTS = 21
 REPLICATES = 2000
 BLOCK_S = 0.25
@@ -45,27 +44,27 @@ class Profile:
 
     name: str
     values: Array  # (n,) of the parameter, ascending
-    t: Array  # (n,); NaN where the others found no minimum
-    interval: tuple[float, float]  # where |t| is the quantile; infinite where it isn't reached
+    t: Array  # (n,), NaN where the other parameters have no minimum
+    interval: tuple[float, float]  # where |t| is the quantile, infinite where it isn't reached
 
 
 def with_intervals(window: Window, estimate: Estimate, settings: Settings) -> Estimate:
-    """The estimate with its 95 % intervals by the method of the settings."""
+    """Estimate with 95 % intervals by the method of the settings."""
     if settings.intervals == "wald" or estimate.status != "ok":
         return estimate
     if settings.intervals == "profile":
         profiles = [profile(window, estimate, settings, name) for name in estimate.names]
         return replace(estimate, intervals=np.array([one.interval for one in profiles]))
     deviations = bootstrap(window, estimate, settings, np.random.default_rng(SEED))
-    # The distribution of the error, turned round: what lies far above in the draws lies far below here.
+    # Basic bootstrap: the upper quantile of the error gives the lower end of the interval.
     low, high = np.quantile(deviations, [0.975, 0.025], axis=0)
     return replace(estimate, intervals=np.stack([estimate.values - low, estimate.values - high], axis=1))
 
 
 def profile(window: Window, estimate: Estimate, settings: Settings, name: str) -> Profile:
-    """Profile of one of the estimate's parameters."""
+    """Profile t of parameter `name` of an estimate."""
     problem, fitted = _solved_again(window, estimate, settings)
-    value, std = estimate.parameters[name], float(estimate.std[estimate.names.index(name)])
+    value, std = estimate[name].value, estimate[name].std
     distance = _distance(problem, fitted, name, value)
     step = 0.05 * std
     slope = 0.5 * (distance(value + step) - distance(value - step)) / step
@@ -80,7 +79,7 @@ def profile(window: Window, estimate: Estimate, settings: Settings, name: str) -
 
 
 def bootstrap(window: Window, estimate: Estimate, settings: Settings, rng: np.random.Generator) -> Array:
-    """Errors (REPLICATES, p) of estimates from resampled residuals, in the order of the estimate's names."""
+    """Errors (REPLICATES, p) of estimates from resampled residuals, in the order of `estimate.names`."""
     problem, fitted = _solved_again(window, estimate, settings)
     solution = fitted.solution
     residual = problem.window.measured - problem.predicted(solution.values)
@@ -97,7 +96,7 @@ def bootstrap(window: Window, estimate: Estimate, settings: Settings, rng: np.ra
 
 
 def _solved_again(window: Window, estimate: Estimate, settings: Settings) -> tuple[Problem, Fitted]:
-    """The problem of an estimate, and its solution under the noise that was found."""
+    """Problem of an estimate, and its solution under the estimated noise model."""
     asked = replace(settings, free=estimate.names, noise=estimate.noise_model, loss=estimate.loss)
     if asked.noise != "oscillator":
         asked = replace(asked, oscillator=())
@@ -106,7 +105,7 @@ def _solved_again(window: Window, estimate: Estimate, settings: Settings) -> tup
 
 
 def _distance(problem: Problem, fitted: Fitted, name: str, value: float) -> Callable[[float], float]:
-    """Signed square root of what holding a parameter at another value than `value` adds to the squares."""
+    """Signed root of the increase of the sum of squares as a function of the fixed value of a parameter."""
     linear = tuple(one for one in problem.linear if one != name)
     nonlinear = tuple(one for one in problem.nonlinear if one != name)
     start = fitted.solution.values[[problem.names.index(one) for one in nonlinear]]
@@ -134,7 +133,7 @@ def _distance(problem: Problem, fitted: Fitted, name: str, value: float) -> Call
 
 
 def _end(t: Callable[[float], float], value: float, std: float, quantile: float) -> float:
-    """Where |t| reaches the quantile on one side (std with its sign); infinite where it doesn't."""
+    """Value at which |t| reaches the quantile on the side of the sign of std; infinite if it doesn't."""
     last = value
     for far in np.arange(1.0, MAX_DISTANCE + 0.5):
         now = value + far * std

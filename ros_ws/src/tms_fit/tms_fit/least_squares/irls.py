@@ -20,43 +20,43 @@ from tms_fit.parameters import shaping
 from tms_fit.response.prediction import derivative
 from tms_fit.window import Window
 
-MAX_ROUNDS = 60
-SMALLEST_NOISE = 1e-4  # residual per largest rate up to which it is rounding: no gyroscope is as exact
+MAX_ITERATIONS = 60
+MAX_ROUNDING = 1e-4  # residual relative to the largest rate, below the noise of any gyroscope
 TOLERANCE = 1e-4  # last change of the parameters, in standard errors
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A solution with the noise under which it is one."""
+    """Solution with its noise model and loss."""
 
     solution: ProblemSolution  # its inverse is the covariance
     noise: Noise
     noise_model: str  # of NOISES
     loss: str  # of LOSSES, not auto
-    outliers: int = 0  # for which a loss was chosen that they can't pull
+    outliers: int = 0  # number, where they selected a robust loss
 
 
 def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[float, ...] = ()) -> Fitted:
-    """Solve a problem under a noise model of NOISES, or 'auto': white, unless the residuals are coloured.
+    """Solution of a problem under a noise model of NOISES, or 'auto': white unless autocorrelated.
 
-    A loss 'auto' is that of least squares, unless the residuals hold outliers, then Huber's. stated:
-    frequency, decay time and size of an oscillator, as many as are known.
+    Loss 'auto' is least squares, or Huber's where the residuals hold outliers. stated: known parameters of an
+    oscillator: frequency [Hz], decay time [s], standard deviation [rad/s].
     """
     window, known, outliers = problem.window, noise_model, 0
     plain = solution = _plain(problem, noise_model)
     noise = NOISES["white"](window.time, window.measured, np.zeros((*window.measured.shape, 0)))
     limits = saturated_samples(problem)
-    judged = limits is None and _judged(problem, solution)
+    informative = limits is None and _exceeds_rounding(problem, solution)
     if loss.name == "auto":
-        if judged:
+        if informative:
             outliers = outlier_count(window.measured - problem.predicted(solution.values))
         loss = Loss("huber" if outliers else "squares")
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         if solution.status == "not_observable":
             break
         residual = problem.window.measured - problem.predicted(solution.values)
         fitted = _fitted(problem, solution)
-        if known == "auto" and judged and is_autocorrelated(residual):
+        if known == "auto" and informative and is_autocorrelated(residual):
             known, noise = _likelier(problem, residual, fitted, stated)
         else:
             known = "white" if known == "auto" else known
@@ -73,20 +73,20 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
     if solution.status != "not_observable":
         solution = _with_covariance(problem, solution, noise, loss, limits)
     if noise_model == "auto" and known == "ar" and loss.name == "squares":
-        # Autocorrelated residuals are more often due to a wrong model than to such noise: the values are
-        # those of least squares.
+        # Autocorrelated residuals are more often due to a wrong model than to autocorrelated noise, so the
+        # values stay those of least squares.
         solution = replace(solution, values=plain.values)
     return Fitted(solution, noise, known, loss.name, outliers)
 
 
 def _plain(problem: Problem, noise_model: str) -> ProblemSolution:
-    """Least squares. Where its residuals decide about the noise, priors have their weight in it."""
+    """Least squares that starts the iteration; with priors and noise 'auto', under estimated white noise."""
     if noise_model == "auto" and problem.priors:
         return fit_problem(problem, "white", Loss("squares")).solution
     return solve(problem, _first_rows(problem))
 
 
-def _judged(problem: Problem, solution: ProblemSolution) -> bool:
+def _exceeds_rounding(problem: Problem, solution: ProblemSolution) -> bool:
     """Whether residuals exceed rounding, so that a noise model can be estimated from them."""
     if solution.status == "not_observable":
         return False
@@ -95,13 +95,13 @@ def _judged(problem: Problem, solution: ProblemSolution) -> bool:
 
 
 def only_rounding(measured: Array, residual: Array) -> bool:
-    """Whether residuals are finer than any gyroscope's, as those of a sensor without noise; both (n, 2)."""
+    """Whether residuals (n, 2) of rates (n, 2) are those of a sensor without noise."""
     largest = np.nanmax(np.abs(measured), initial=0.0)
-    return bool(np.nanmax(np.abs(residual), initial=0.0) <= SMALLEST_NOISE * largest)
+    return bool(np.nanmax(np.abs(residual), initial=0.0) <= MAX_ROUNDING * largest)
 
 
 def _final(problem: Problem, noise_model: str, loss: Loss, limits: SaturatedSamples | None) -> bool:
-    """Whether one round is enough: the weights do not change the solution."""
+    """Whether one iteration is enough, since the weights do not change the solution."""
     if loss.name != "squares" or limits is not None:
         return False
     return not problem.priors if noise_model == "white" else not problem.nonlinear
@@ -133,7 +133,7 @@ def _noise(
 
 
 def _weighted(rows: Whitener, loss: Loss, residual: Array) -> Whitener:
-    """The rows, each by the root of the weight that its residual has."""
+    """Whitener with rows times the root of their residuals' weights."""
     if loss.name == "squares":
         return rows
     return _weighted_by(np.sqrt(loss.weights(rows(residual))), rows)
@@ -150,7 +150,7 @@ def _times(factor: Array, rows: Array) -> Array:
 def _with_covariance(
     problem: Problem, solution: ProblemSolution, noise: Noise, loss: Loss, limits: SaturatedSamples | None
 ) -> ProblemSolution:
-    """The solution whose `inverse` is the covariance of what was done, not only of least squares."""
+    """Solution with the covariance under its noise model, loss and censored samples."""
     residual = problem.window.measured - problem.predicted(solution.values)
     if isinstance(noise, ColoredNoise) and loss.name == "squares":
         return _averaged(problem, solution, noise, residual)
@@ -179,7 +179,7 @@ def _averaged(
 def _likelier(
     problem: Problem, residual: Array, fitted: Array, stated: tuple[float, ...]
 ) -> tuple[str, Noise]:
-    """Autoregressive noise or noise that oscillates, whichever has the lower BIC, by name."""
+    """Name and noise with the lower BIC: autoregressive or oscillator."""
     time, count = problem.window.time, int(np.isfinite(residual).sum())
 
     def bic(noise: Noise) -> float:

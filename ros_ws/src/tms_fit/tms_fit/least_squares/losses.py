@@ -15,75 +15,75 @@ from dataclasses import dataclass
 import numpy as np
 from tms_model.bicycle import Array
 
-HUBER = 1.345  # standard deviations from which on a residual counts less: 95 % efficient on Gaussian noise
-DEGREES = 4.0  # of freedom of Student's t
-APART = 0.685  # median of |u less the median of five|, where that isn't zero, for Gaussian white noise
-LEAST_JUDGED = 20  # samples of a channel; fewer show no outliers
-MAD = 0.6744897501960817  # median of |u| for Gaussian noise of deviation one
+HUBER_K = 1.345  # standard deviations, above which the weight falls: 95 % efficiency on Gaussian noise
+STUDENT_T_DEGREES = 4.0  # of freedom
+HAMPEL_MEDIAN = 0.685  # median of |u - median of five|, where not zero, for Gaussian white noise
+MIN_SAMPLES = 20  # of a channel, for the detection of outliers
+NORMAL_MAD = 0.6744897501960817  # median of |u| for Gaussian noise of unit standard deviation
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss by its name."""
+    """Robust loss by its name."""
 
     name: str  # of LOSSES
 
     def psi(self, u: Array) -> Array:
-        """Derivative of the cost, of standardised residuals (m,)."""
+        """Derivative (m,) of the cost by standardised residuals (m,)."""
         if self.name == "huber":
-            return np.clip(u, -HUBER, HUBER)
+            return np.clip(u, -HUBER_K, HUBER_K)
         if self.name == "student_t":
-            return (DEGREES + 1.0) * u / (DEGREES + u**2)
+            return (STUDENT_T_DEGREES + 1.0) * u / (STUDENT_T_DEGREES + u**2)
         return u
 
     def slope(self, u: Array) -> Array:
-        """Derivative of psi."""
+        """Derivative (m,) of psi by standardised residuals (m,)."""
         if self.name == "huber":
-            return (np.abs(u) <= HUBER).astype(float)
+            return (np.abs(u) <= HUBER_K).astype(float)
         if self.name == "student_t":
-            return (DEGREES + 1.0) * (DEGREES - u**2) / (DEGREES + u**2) ** 2
+            return (STUDENT_T_DEGREES + 1.0) * (STUDENT_T_DEGREES - u**2) / (STUDENT_T_DEGREES + u**2) ** 2
         return np.ones_like(u)
 
     def weights(self, u: Array) -> Array:
-        """psi(u) / u (m,), one where u is zero."""
+        """Weights psi(u) / u (m,), one where u is zero."""
         small = np.abs(u) < 1e-12
         return np.where(small, self.slope(u), self.psi(u) / np.where(small, 1.0, u))
 
     def inflation(self, u: Array, unknowns: int) -> float:
-        """By what the variance exceeds that of (X'X)^-1, u (m,) standardised residuals of the solution."""
+        """Ratio of the variance to that of (X'X)^-1; u (m,): standardised residuals of the solution."""
         slope = float(np.mean(self.slope(u)))
         correction = 1.0 + unknowns / len(u) * (1.0 - slope) / slope
         return correction**2 * float(np.sum(self.psi(u) ** 2)) / max(len(u) - unknowns, 1) / slope**2
 
 
 LOSSES = ("auto", "squares", "huber", "student_t")  # auto: squares, unless there are outliers
-OUTLIER = 5.0  # standard deviations from the median of its neighbours, at which a sample is one
-NEIGHBOURS = 2  # on either side
+OUTLIER_THRESHOLD = 5.0  # standard deviations between a sample and the median of its neighbourhood
+HALF_WINDOW = 2  # samples on either side
 
 
 def outlier_count(residual: Array) -> int:
-    """How many residuals (n, 2), NaN where nothing was measured, stand apart from their neighbours.
+    """Number of outliers among residuals (n, 2), NaN where nothing was measured.
 
-    Hampel's identifier on what a residual differs from the median of five: what neighbours share, a wrong
-    model or coloured noise, is no outlier. F. R. Hampel, J. Am. Stat. Assoc. 69 (1974), doi
-    10.1080/01621459.1974.10482962.
+    Hampel identifier on the difference of a residual from the median of five: errors that neighbours share,
+    by a wrong model or autocorrelated noise, are no outliers. F. R. Hampel, J. Am. Stat. Assoc. 69 (1974),
+    doi 10.1080/01621459.1974.10482962.
     """
     count = 0
     for channel in residual.T:
         values = channel[np.isfinite(channel)]
-        if len(values) < LEAST_JUDGED:
+        if len(values) < MIN_SAMPLES:
             continue
         around = np.lib.stride_tricks.sliding_window_view(
-            np.pad(values, NEIGHBOURS, mode="reflect"), 2 * NEIGHBOURS + 1
+            np.pad(values, HALF_WINDOW, mode="reflect"), 2 * HALF_WINDOW + 1
         )
         apart = np.abs(values - np.median(around, axis=1))
-        # A sample is often its own median: the others tell how far they stand apart.
+        # A sample often equals its median: only differences other than zero measure the scale.
         size = float(np.median(apart[apart > 0.0])) if apart.any() else 0.0
-        count += int(np.count_nonzero(apart > OUTLIER * size / APART))
+        count += int(np.count_nonzero(apart > OUTLIER_THRESHOLD * size / HAMPEL_MEDIAN))
     return count
 
 
 def scale(residual: Array, unknowns: int) -> float:
-    """Standard deviation of Gaussian noise by the median of |residual| (m,), unmoved by outliers."""
+    """Robust standard deviation of Gaussian noise by the median of |residual| (m,)."""
     spare = len(residual) / max(len(residual) - unknowns, 1)
-    return float(np.median(np.abs(residual))) / MAD * float(np.sqrt(spare))
+    return float(np.median(np.abs(residual))) / NORMAL_MAD * float(np.sqrt(spare))

@@ -23,14 +23,14 @@ from tms_fit.window import Window, without_saturated
 
 MIN_SPARE_SAMPLES = 10  # scalar measurements beyond the number of unknowns
 MIN_SPAN_S = 0.25  # [s]
-COLOURED = 0.3  # lag-one autocorrelation of the residuals above which they are called coloured
+AUTOCORRELATION_WARNING = 0.3  # of the residuals at lag one, above which an interval is too narrow
 
 
 def make_estimate(name: str, model: ModelSpec, fitted: Fitted, settings: Settings) -> Estimate:
-    """The estimate of a solved model, under an estimator's name.
+    """Estimate of a solved model, under an estimator's name.
 
-    The covariance holds the uncertainty of the speed, and of the strike's instant between two samples, where
-    the window states them.
+    The covariance includes the uncertainty of the speed and of the strike time between two samples, where the
+    window states them.
     """
     problem, solution, noise = model.problem, fitted.solution, fitted.noise
     if solution.status == "not_observable":
@@ -43,7 +43,7 @@ def make_estimate(name: str, model: ModelSpec, fitted: Fitted, settings: Setting
     white = noise.std if isinstance(noise, White) else 0.0
     covariance = covariance + nuisance_covariance(problem, solution, noise.rows, white)
     predicted = problem.predicted(solution.values)
-    free = without_saturated(window)  # a rate of which only a limit is known leaves no residual
+    free = without_saturated(window)  # a censored sample has no residual
     residual = free.measured - predicted
     innovations = noise.innovations(residual)
     autocorrelation = lag_one_autocorrelation(innovations)
@@ -78,7 +78,7 @@ def make_estimate(name: str, model: ModelSpec, fitted: Fitted, settings: Setting
 
 
 def in_order(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
-    """The same estimate with its parameters in the order of `names`."""
+    """Estimate with its parameters in the order of `names`."""
     if estimate.names in (names, ()):
         return estimate
     index = [estimate.names.index(name) for name in names]
@@ -92,14 +92,14 @@ def in_order(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
 
 
 def degrees_of_freedom(problem: Problem) -> int:
-    """Number of measurements and priors less that of unknowns."""
+    """Number of measurements and priors minus number of unknowns."""
     count = int(np.isfinite(problem.window.measured).sum()) + len(problem.priors)
     between = problem.window.delay_std and "strike_time" not in problem.names
     return count - len(problem.names) - (1 if between else 0)
 
 
 def too_short(problem: Problem) -> str:
-    """Why a window is too short for its unknowns, or an empty text."""
+    """Reason why a window is too short for its unknowns, or an empty text."""
     window, unknowns = problem.window, len(problem.names)
     count = int(np.isfinite(window.measured).sum())
     span = float(window.time[-1]) if len(window.time) else 0.0
@@ -122,7 +122,7 @@ def variance_accounted_for(window: Window, predicted: Array) -> dict[str, float]
 
 
 def lag_one_autocorrelation(residual: Array) -> float:
-    """Autocorrelation of neighbouring residuals (n, 2), of the channel where it is largest; white: near 0."""
+    """Lag-one autocorrelation of residuals (n, 2), the largest of the channels; near 0 for white noise."""
     worst = float("nan")
     for channel in residual.T:
         good = channel[np.isfinite(channel)]
@@ -133,7 +133,7 @@ def lag_one_autocorrelation(residual: Array) -> float:
 
 
 def _log_likelihood(noise: Noise, window: Window, predicted: Array) -> float:
-    """Of the samples at the solution, with the noise's variance at its own maximum."""
+    """Log-likelihood of the samples at the solution, maximised over the noise variance."""
     if window.saturated is not None and isinstance(noise, White):
         return _censored_log_likelihood(noise.std, window, predicted)
     residual = window.measured - predicted
@@ -148,7 +148,7 @@ def _log_likelihood(noise: Noise, window: Window, predicted: Array) -> float:
 
 
 def _censored_log_likelihood(std: float, window: Window, predicted: Array) -> float:
-    """Tobit's: of a saturated sample only the probability to lie beyond its limit is known."""
+    """Tobit log-likelihood; a saturated sample adds the probability of a rate beyond its limit."""
     assert window.saturated is not None
     at_limit = window.saturated != 0.0
     u = ((window.measured - predicted) / std)[~at_limit & np.isfinite(window.measured)]
@@ -157,7 +157,7 @@ def _censored_log_likelihood(std: float, window: Window, predicted: Array) -> fl
 
 
 def _known(problem: Problem, solution: ProblemSolution) -> dict[str, float]:
-    """Values of the window that the prediction used and that were not free."""
+    """Values of the parameters that were not free, as the prediction used them."""
     known, values = known_values(problem.window), shaping(problem.values(solution.values))
     start = values.get("strike_time", known["strike_time"])
     known["speed"] = float(speeds_at(problem.window, values, np.array([start]))[0])
@@ -176,7 +176,7 @@ def _message(model: ModelSpec, fitted: Fitted, settings: Settings, autocorrelati
     if fitted.noise_model != "white" and settings.noise != "auto":
         reasons = (*reasons, f"the noise is taken as {_kind(fitted)}, and the interval with it")
     text = "; ".join((text, *reasons))
-    if fitted.noise_model == "white" and autocorrelation > COLOURED:
+    if fitted.noise_model == "white" and autocorrelation > AUTOCORRELATION_WARNING:
         text += (
             f"; neighbouring residuals are alike (autocorrelation {autocorrelation:.2f}): the model misses"
             " something and the interval is too narrow"

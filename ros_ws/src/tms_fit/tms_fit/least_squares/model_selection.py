@@ -1,4 +1,4 @@
-"""Model selection: the parameters that a fit frees where its settings leave them open, and the reasons."""
+"""Model selection: free parameters where the settings leave them open, and the reasons."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from tms_fit.settings import Settings
 from tms_fit.speed_profile import SPEED_STALE_AFTER_S, constant_speed
 from tms_fit.window import Window, with_channels, without_saturated
 
-COASTING = {"speed", "rolling_resistance"}
-LONG_WINDOW_S = 2.0  # [s] window from which on a falling speed shows in the rates alone
+COASTING_PARAMETERS = {"speed", "rolling_resistance"}
+LONG_WINDOW_S = 2.0  # least window in which the rates alone determine a falling speed
 DISTURBED_STARTS = (("initial_steer_rate",), ("initial_steer_rate", "initial_lean", "initial_steer"))
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSpec:
-    """A problem to be solved, with the selections that led to it."""
+    """Problem with the selections that specify it."""
 
     problem: Problem
     free: tuple[str, ...]  # in the order asked for
     noise: str  # noise model of NOISES, or 'auto'
     words: str  # for the message: empty, or beginning with a comma
-    reasons: tuple[str, ...] = ()  # of what the data decided, a phrase each
-    coasting: str = ""  # that of them why a rolling resistance is found
+    reasons: tuple[str, ...] = ()  # of selections by the data, a phrase each
+    coasting: str = ""  # the reason of a free rolling resistance
 
 
 def specify_model(window: Window, settings: Settings) -> ModelSpec:
-    """The model that settings specify for a window, before any evidence from a fit."""
+    """Model that settings specify for a window, before any evidence from a fit."""
     window = with_channels(window, settings.channels)
     words = [_about_slip(window, settings)]
     if settings.slip_window:
@@ -59,7 +59,7 @@ def specify_model(window: Window, settings: Settings) -> ModelSpec:
 
 
 def _coasting_reason(window: Window, settings: Settings) -> str:
-    """Why the rolling resistance is freed without being asked for; empty where it isn't."""
+    """Reason why the rolling resistance is freed by default; empty where it isn't."""
     asked = settings.free is not None or settings.speed_model != "auto"
     given = {"rolling_resistance"} & {*settings.fixed, *settings.priors}
     if asked or given or not window.speed.extrapolated:
@@ -71,17 +71,19 @@ def _coasting_reason(window: Window, settings: Settings) -> str:
 
 
 def at_measured_speed(model: ModelSpec, settings: Settings) -> ModelSpec:
-    """The same model at the measured speed throughout, without the freed rolling resistance."""
+    """Model at the measured speed throughout, without the freed rolling resistance."""
     window, curve = model.problem.window, model.problem.window.speed
     constant = constant_speed(float(curve.coefficients[0]), curve.std, measured=True)
-    found = {"rolling_resistance"} if not curve.is_stale or "speed" in settings.priors else COASTING
+    found = (
+        {"rolling_resistance"} if not curve.is_stale or "speed" in settings.priors else COASTING_PARAMETERS
+    )
     free = tuple(name for name in model.free if name not in found)
     problem = _problem(replace(window, speed=constant), free, dict(settings.fixed), settings)
     return replace(model, problem=problem, free=free)
 
 
 def with_nonlinear_fixed(model: ModelSpec, estimate: Estimate) -> ModelSpec:
-    """The same model with its nonlinear parameters fixed at the values of an estimate."""
+    """Model with its nonlinear parameters fixed at the values of an estimate."""
     problem = model.problem
     fixed = {name: estimate.parameters[name] for name in problem.nonlinear}
     priors = {name: prior for name, prior in problem.priors.items() if name not in fixed}
@@ -91,12 +93,12 @@ def with_nonlinear_fixed(model: ModelSpec, estimate: Estimate) -> ModelSpec:
 
 
 def with_falling_speed(model: ModelSpec, settings: Settings) -> ModelSpec | None:
-    """The same model with speed and rolling resistance free; None where the speed is known or asked for."""
+    """Model with speed and rolling resistance free; None where the speed is measured or specified."""
     window = model.problem.window
     asked = settings.free is not None or settings.speed_model != "auto"
     if asked or window.speed.measured or len(window.time) < 2 or window.time[-1] < LONG_WINDOW_S:
         return None
-    if COASTING & {*settings.fixed, *model.free}:
+    if COASTING_PARAMETERS & {*settings.fixed, *model.free}:
         return None
     free = (*model.free, "speed", "rolling_resistance")
     why = "speed and rolling resistance found because a constant speed is far less likely"
@@ -104,11 +106,11 @@ def with_falling_speed(model: ModelSpec, settings: Settings) -> ModelSpec | None
 
 
 def with_disturbed_start(model: ModelSpec, settings: Settings) -> list[ModelSpec]:
-    """The same model with a steer rate at the start free, and with lean and steer, unless `free` is set.
+    """Models with initial steer rate free, and with lean and steer as well, unless `free` is set.
 
-    A strike that also kicks the steering, or ends before the wheels roll again, leaves the bicycle so. Where
-    the rolling resistance is found, too, a steer rate alone isn't tried: with a resistance that is off it may
-    look like all three, and the interval would hold neither.
+    A strike that also turns the steering, or ends before the wheels roll again, disturbs the initial state.
+    With a free rolling resistance the steer rate alone is not tried: a wrong resistance makes it resemble the
+    full disturbance, and the interval would contain neither value.
     """
     if settings.free is not None:
         return []
@@ -125,7 +127,7 @@ def with_disturbed_start(model: ModelSpec, settings: Settings) -> list[ModelSpec
 
 
 def _with_free(model: ModelSpec, free: tuple[str, ...], why: str, settings: Settings) -> ModelSpec:
-    """The model with more free parameters, for a reason."""
+    """Model with more free parameters, and the reason."""
     return replace(
         model,
         problem=_problem(model.problem.window, free, dict(settings.fixed), settings),
@@ -154,7 +156,7 @@ def _problem(window: Window, free: tuple[str, ...], known: dict[str, float], set
 
 
 def _floor_priors(window: Window) -> dict[str, tuple[float, float]]:
-    """Prior of the rolling resistance where the speed wasn't measured over the window."""
+    """Prior of the rolling resistance where the speed is extrapolated over the window."""
     if not window.speed.extrapolated:
         return {}
     loss = coasting_loss(window.bicycle)
@@ -163,7 +165,7 @@ def _floor_priors(window: Window) -> dict[str, tuple[float, float]]:
 
 
 def _without_slip(window: Window, seconds: float) -> Window:
-    """The window without the samples of its first seconds."""
+    """Window without the samples of its first seconds [s]."""
     kept = window.time + window.delay >= seconds
     return replace(
         window,
@@ -173,7 +175,7 @@ def _without_slip(window: Window, seconds: float) -> Window:
 
 
 def _about_speed(window: Window, names: set[str]) -> str:
-    """How the speed is modelled, in words; names: free and fixed parameters."""
+    """Speed model in words; names: free and fixed parameters."""
     curve = window.speed
     since = ""
     if curve.extrapolated and "speed" not in names:

@@ -1,9 +1,9 @@
-"""Nuisance parameters: first-order effect of uncertain known quantities on the covariance.
+"""Nuisance parameters: first-order propagation of their uncertainty to the covariance.
 
-A fit takes as known the strike time between two samples, the measured speed and the gain of a feedback
-estimated from a recorded torque. With D the change of the prediction by such a
-quantity, the solution moves by -(J'J)^-1 J'D, and by what the columns themselves change. The gain is found
-from the same samples, so that its error and that of the solution go together.
+Nuisance parameters are the strike time between two samples, the measured speed, and a feedback gain estimated
+from a recorded torque. With D the derivative of the prediction by a nuisance parameter, the solution moves by
+-(J'J)^-1 J'D and by a term in the derivatives of the columns. The gain is estimated from the same samples, so
+its error is correlated with that of the solution.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tms_fit.parameters import shaping
 from tms_fit.response.prediction import Predictor, derivative, predictor
 from tms_fit.window import Window
 
-CURVE_STEP = 1e-4  # of the differences by the speed curve's coefficients [m/s, m/s^2, ...]
+CURVE_STEP = 1e-4  # of finite differences by the speed curve's coefficients [m/s, m/s^2, ...]
 
 
 def nuisance_covariance(
     problem: Problem, solution: ProblemSolution, rows: Whitener, white: float = 0.0
 ) -> Array:
-    """Covariance (p, p) that uncertain known quantities add to that of a solution.
+    """Covariance (p, p) of a solution due to nuisance parameters.
 
-    white [rad/s]: deviation of the noise, where it is white; only then is it known how the gain's error goes
-    with the solution's, else the two are added as independent.
+    white [rad/s]: standard deviation of white noise, 0 for another noise model. The correlation between the
+    errors of gain and solution is included under white noise; otherwise they count as independent.
     """
     added = np.zeros((len(problem.names), len(problem.names)))
     window = problem.window
@@ -39,11 +39,11 @@ def nuisance_covariance(
         shift = _shift(problem, solution, rows, derivative(window, nonlinear, name))
         variance = std**2
         if name == "lean_rate_gain" and white and window.gain_by_lean_rate is not None:
-            # Whitener are in units of the noise.
+            # The rows are in units of the noise.
             along = white**2 * rows(np.stack([window.gain_by_lean_rate, np.zeros(len(window.time))], axis=1))
             shared = solution.of_rows @ solution.jacobian[: len(along)].T @ along
             added += np.outer(shift, shared) + np.outer(shared, shift)
-            # The lean rate alone makes the gain as uncertain as that; less, and the sum were no covariance.
+            # Least variance of the gain, due to the lean rate alone, for a positive semidefinite sum.
             variance = max(variance, float(along @ along))
         added += np.outer(shift, shift) * variance
     changes = list(_by_curve(problem, solution))
@@ -55,7 +55,7 @@ def nuisance_covariance(
 
 
 def _by_curve(problem: Problem, solution: ProblemSolution) -> Iterator[tuple[int, Predictor]]:
-    """Changes of the predictor by those coefficients of the speed curve that matter."""
+    """Derivatives of the predictor by the coefficients of the speed curve that the fit uses."""
     window, names = problem.window, {*problem.names, *problem.known}
     if not window.speed.covariance.any():
         return
@@ -78,7 +78,7 @@ def _moved(window: Window, power: int, change: float) -> Window:
 
 
 def _shift(problem: Problem, solution: ProblemSolution, rows: Whitener, change: Predictor) -> Array:
-    """Derivative (p,) of the solution by a quantity that changes the predictor like this."""
+    """Derivative (p,) of the solution by a nuisance parameter; change: that of the predictor."""
     direct = rows(change.predict(problem.values(solution.values)))
     jacobian = solution.jacobian[: len(direct)]
     moved = -jacobian.T @ direct

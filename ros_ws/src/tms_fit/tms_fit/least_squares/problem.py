@@ -1,7 +1,8 @@
-"""The fit of one window as a separable least-squares problem: unknowns, start values, bounds, residual rows.
+"""Separable least-squares problem of one window: unknowns, start values, bounds and residual rows.
 
 The prediction is linear in the initial state and the biases, and nonlinear in speed, rolling resistance,
-strike time, feedback gain and the like (`tms_fit.settings`). `tms_fit.least_squares.varpro` solves it.
+strike time, feedback gain and the other parameters of NONLINEAR (`tms_fit.parameters`).
+`tms_fit.least_squares.varpro` solves it.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ Whitener = Callable[[Array], Array]  # values of both channels (n, 2, ...) -> ro
 Priors = Mapping[str, tuple[float, float]]  # mean and standard deviation by name, SI
 
 SPEED_MIN = 0.05  # [m/s]
-FRICTION_TOLERANCE = 1e-2  # last step in standard errors with friction, whose kinks derivatives do not follow
-SMALLEST_OF_DIFFERENCES = 1e-6  # singular value per largest of columns that are finite differences
+FRICTION_TOLERANCE = 1e-2  # last step [standard errors] with friction, which is not differentiable
+SMALLEST_SINGULAR_VALUE_OF_DIFFERENCES = 1e-6  # relative to the largest, for finite-difference columns
 GAIN = "lean_rate_gain"
-GAIN_STARTS = (-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)  # per torque of the steering at 1 rad/s
+GAIN_STARTS = (-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)  # relative to the steering's damping
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Free parameters of a window, with the fixed values and priors."""
+    """Free parameters of a window, with fixed values and priors."""
 
     window: Window
     linear: tuple[str, ...]  # of LINEAR, free
@@ -48,7 +49,7 @@ class Problem:
         return (*self.linear, *self.nonlinear)
 
     def values(self, solution: Array) -> dict[str, float]:
-        """All parameters by name, fixed and found."""
+        """All parameters by name, fixed and estimated, SI units."""
         return {**self.known, **dict(zip(self.names, solution.tolist(), strict=True))}
 
     def predicted(self, solution: Array) -> Array:
@@ -57,7 +58,7 @@ class Problem:
         return predictor(self.window, shaping(values)).predict(values)
 
     def without(self, name: str) -> Problem:
-        """The same problem without one of the parameters, which is then 0 or as measured."""
+        """Problem without one of the parameters, which is then 0 or as measured."""
         names = [one for one in self.names if one != name]
         return replace(
             self,
@@ -78,7 +79,7 @@ class ProblemSolution:
     jacobian: Array = field(default_factory=lambda: np.empty((0, 0)))  # (m, p) of the rows, priors last
     channels: Array = field(default_factory=lambda: np.empty((0, 2, 0)))  # (n, 2, p), the same per sample
     rows: Array = field(default_factory=lambda: np.empty(0))  # (m,) residual rows
-    covariance: Array | None = None  # (p, p), where it is not that of the rows
+    covariance: Array | None = None  # (p, p), None: that of the rows
 
     @property
     def inverse(self) -> Array:
@@ -145,7 +146,7 @@ def make_unknowns(
 
 
 def start_value(window: Window, name: str) -> float:
-    """Value of a nonlinear parameter before anything is fitted."""
+    """Start value of a nonlinear parameter."""
     if name == "rolling_resistance" and not window.speed.constant:
         return -float(window.speed.coefficients[1]) / coasting_loss(window.bicycle)
     if name == "strike_time" and not window.delay:
@@ -164,9 +165,9 @@ def _bounds(window: Window, name: str) -> tuple[float, float]:
 
 
 def solve(problem: Problem, whiten: Whitener, start: Array | None = None) -> ProblemSolution:
-    """Solve a problem whose samples `whiten` turns into rows of unit variance.
+    """Solution of a problem; `whiten` maps its samples to rows of unit variance.
 
-    start: first nonlinear values (k,); None: means of the priors, or values of the window.
+    start: initial nonlinear values (k,); None: means of the priors, or values of the window.
     """
     try:
         first = _first(problem, whiten) if start is None else start
@@ -175,7 +176,7 @@ def solve(problem: Problem, whiten: Whitener, start: Array | None = None) -> Pro
             [block],
             shared,
             FRICTION_TOLERANCE if _rubs(problem) else varpro.TOLERANCE,
-            SMALLEST_OF_DIFFERENCES if problem.nonlinear else SMALLEST_SINGULAR_VALUE,
+            SMALLEST_SINGULAR_VALUE_OF_DIFFERENCES if problem.nonlinear else SMALLEST_SINGULAR_VALUE,
         )
     except ParameterError as error:
         return ProblemSolution(Status.NOT_OBSERVABLE, str(error))
@@ -190,7 +191,7 @@ def solve(problem: Problem, whiten: Whitener, start: Array | None = None) -> Pro
 
 
 def _block(problem: Problem, whiten: Whitener, start: Array) -> tuple[ResidualBlock, Unknowns]:
-    """The window's residual block, all unknowns its own, and no shared ones."""
+    """Residual block of the window with all unknowns its own, and no shared unknowns."""
     window, fixed = problem.window, shaping(problem.known, problem.names)
     rows = WindowRows(
         window,
@@ -221,7 +222,7 @@ def _rubs(problem: Problem) -> bool:
 
 
 def _first(problem: Problem, whiten: Whitener) -> Array:
-    """First nonlinear values (k,); with friction those of the fit without it, linear in the initial state."""
+    """Initial nonlinear values (k,); with friction those of the fit without it."""
     window = problem.window
     first = np.array(
         [
@@ -241,9 +242,9 @@ def _first(problem: Problem, whiten: Whitener) -> Array:
 
 
 def _best_gain(problem: Problem, whiten: Whitener, first: Array) -> Array:
-    """The first values (k,) with the feedback gain of least cost among gains that a controller may have.
+    """Initial values (k,) with the feedback gain of least cost among GAIN_STARTS.
 
-    A bicycle with too small a gain falls. Its best response is nearly zero, whatever the gain, so that the
+    A bicycle with too small a gain falls. Its best response is nearly zero for all such gains, so the
     gradient there does not lead to the right gain.
     """
     if GAIN not in problem.nonlinear or GAIN in problem.priors:

@@ -1,4 +1,4 @@
-"""Saturated samples of a fit as censored data: working values, weights and noise deviation.
+"""Saturated samples of a fit as censored data: working values, weights and noise variance.
 
 The formulas, with their references, are those of `tms_fit.least_squares.censoring`.
 """
@@ -17,23 +17,23 @@ from tms_fit.least_squares.problem import Problem, ProblemSolution
 from tms_fit.noise import Noise
 from tms_fit.noise.white import White
 
-MAX_STD_STEPS = 200  # of expectation and maximisation of the noise's deviation
-STD_TOLERANCE = 1e-6  # last relative change of the deviation
+MAX_STD_STEPS = 200  # of expectation maximisation
+STD_TOLERANCE = 1e-6  # last relative change of the standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class SaturatedSamples:
-    """Saturated samples of a window, and the limit that each stands at."""
+    """Saturated samples of a window with their limits."""
 
     rows: Array  # (n, 2) bool
-    sign: Array  # (m,)
+    sign: Array  # (m,) +1: above the limit, -1: below
     limit: Array  # (m,) [rad/s]
 
     def _at(self, function: Callable[..., Array], predicted: Array, std: float) -> Array:
         return function(self.limit, self.sign, predicted[self.rows], std)
 
     def replaced(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Problem:
-        """The problem with each saturated sample at its working value."""
+        """Problem with each saturated sample at its working value."""
         assert isinstance(noise, White)
         window = problem.window
         measured = window.measured
@@ -41,10 +41,10 @@ class SaturatedSamples:
         return replace(problem, window=replace(window, lean_rate=measured[:, 0], yaw_rate=measured[:, 1]))
 
     def std(self, problem: Problem, residual: Array, unknowns: int, std: float) -> float:
-        """Deviation of the noise, the spread left of the saturated samples included.
+        """Standard deviation [rad/s] of the noise, the variance of the saturated samples included.
 
-        Each step of expectation and maximisation removes as large a share of the error as samples are not
-        saturated, so the steps are repeated until the deviation is constant.
+        Each step of expectation maximisation reduces the error by the share of samples that are not
+        saturated, so the steps are repeated until convergence.
         """
         good = np.isfinite(residual)
         predicted = problem.window.measured - residual
@@ -59,7 +59,7 @@ class SaturatedSamples:
         return std
 
     def information(self, problem: Problem, solution: ProblemSolution, noise: Noise) -> Array:
-        """Share (m,) of its information that each sample of the rows keeps."""
+        """Fisher information (m,) of each measured sample relative to an uncensored one."""
         assert isinstance(noise, White)
         share = np.ones(self.rows.shape)
         predicted = problem.predicted(solution.values)
@@ -69,7 +69,7 @@ class SaturatedSamples:
 
 
 def saturated_samples(problem: Problem) -> SaturatedSamples | None:
-    """The saturated samples of a problem's window; None without any."""
+    """Saturated samples of a problem's window; None without any."""
     window = problem.window
     if window.saturated is None or not window.saturated.any():
         return None

@@ -50,7 +50,7 @@ class Status(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Linear unknowns, then nonlinear ones, with bounds and Gaussian priors."""
+    """Linear, then nonlinear unknowns, with bounds and Gaussian priors."""
 
     linear: int  # number of linear unknowns
     start: Array  # (k,) first values of the nonlinear unknowns
@@ -72,7 +72,7 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class ResidualBlock:
-    """One group of residual rows and the unknowns that only these rows depend on.
+    """One group of residual rows with its own unknowns.
 
     linear(nonlinear) returns the columns of the linear unknowns, own and shared, and the target t;
     slopes(nonlinear, linear) returns the derivatives of the prediction by the nonlinear unknowns, own (m, k)
@@ -128,11 +128,11 @@ def solve(
     tolerance: float = TOLERANCE,
     smallest: float = SMALLEST_SINGULAR_VALUE,
 ) -> Solution:
-    """Minimise the sum of squares.
+    """Minimum of the sum of squares.
 
-    tolerance: last step, in standard errors. smallest: singular value of the scaled Jacobian, per largest,
-    from which on the unknowns count as observable. Raises ParameterError if the residuals can't be evaluated
-    at the first values.
+    tolerance: last step, in standard errors. smallest: least singular value of the scaled Jacobian of
+    observable unknowns, relative to the largest. Raises ParameterError if the residuals can't be evaluated at
+    the first values.
     """
     minimiser = _Minimiser(blocks, shared)
     point = minimiser.at(minimiser.start)
@@ -147,7 +147,7 @@ def solve(
 def linearise(
     blocks: Sequence[ResidualBlock], shared: Unknowns, smallest: float = SMALLEST_SINGULAR_VALUE
 ) -> Solution:
-    """The problem around its first nonlinear values, solved for the linear unknowns; raises as `solve`."""
+    """Solution for the linear unknowns at the first nonlinear values. Raises as `solve` does."""
     minimiser = _Minimiser(blocks, shared)
     return minimiser.solution(minimiser.at(minimiser.start), smallest)
 
@@ -192,7 +192,7 @@ class _Minimiser:
         return own, shared
 
     def at(self, nonlinear: Array) -> _Point | None:
-        """Best linear values at nonlinear ones; None if the rows do not determine them."""
+        """Best linear values at given nonlinear ones; None if the rows do not determine them."""
         own, common = self.split(nonlinear)
         rows = []
         for block, values in zip(self.blocks, own, strict=True):
@@ -224,7 +224,7 @@ class _Minimiser:
     def solution(
         self, point: _Point | None, smallest: float, status: Status = Status.OK, evaluations: int = 1
     ) -> Solution:
-        """The solution at a point; not observable where the unknowns' columns are not independent there."""
+        """Solution at a point; not observable where the unknowns' columns are not independent there."""
         if point is None:
             return Solution(Status.NOT_OBSERVABLE)
         if not len(self.start):
@@ -256,10 +256,10 @@ class _Minimiser:
         return _with_rows(whole, np.concatenate([on_linear, prior], axis=1), wanted - prior @ nonlinear)
 
     def minimise(self, point: _Point, tolerance: float) -> tuple[_Point, bool, int]:
-        """The best point, whether it is a minimum, and the number of evaluations.
+        """Best point, whether it is a minimum, and the number of evaluations.
 
-        scipy sees values z per standard error, FIRST_STEP at the start: its first trust region is as large as
-        its first values, and its tolerance is relative to them.
+        scipy minimises over values z per standard error, which start at FIRST_STEP: its first trust region is
+        as large as its first values, and its tolerance is relative to them.
         """
         from scipy.optimize import least_squares  # 0.2 s to import
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tms_fit.comparison import first_good
 from tms_fit.estimate import Estimate
-from tms_fit.least_squares.make_estimate import COLOURED
+from tms_fit.least_squares.make_estimate import AUTOCORRELATION_WARNING
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.element import Element, element
 from tms_fit.report.rounding import as_sentence, decimals, fixed, number
@@ -81,7 +81,7 @@ def _doubt(strike: StrikeFit) -> list[Element | str]:
 
 def _caution(estimate: Estimate) -> Element | None:
     """What makes the interval too narrow, where the residuals show it."""
-    if not estimate.residual_autocorrelation > COLOURED:
+    if not estimate.residual_autocorrelation > AUTOCORRELATION_WARNING:
         return None
     alike = (
         f"Neighbouring residuals are alike (autocorrelation {fixed(estimate.residual_autocorrelation, 2)})"
