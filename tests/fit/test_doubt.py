@@ -92,4 +92,4 @@ def test_no_oscillation_is_slower_than_the_bicycles_own_motion() -> None:
     found = oscillator.fit(time, residual, np.zeros((34, 2, 0)))
     told = [value for name, value in found.parameters.items() if name.endswith("_frequency")]
     assert told
-    assert min(told) >= oscillator.SLOWEST
+    assert min(told) >= oscillator.MIN_FREQUENCY_HZ

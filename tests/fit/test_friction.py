@@ -11,7 +11,7 @@ from tms_calibrate.pooled_fit import SHAREABLE
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.parameters import FRICTION
-from tms_fit.response.friction import SMOOTH
+from tms_fit.response.friction import CREEP_RATE
 from tms_fit.response.prediction import predictor
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import constant_speed
@@ -54,7 +54,7 @@ def predicted(window: Window, values: dict[str, float]) -> np.ndarray:
 @pytest.mark.parametrize("friction", [0.02, 0.05, 0.2])
 def test_it_is_the_equation_as_told(friction: float) -> None:
     time = np.arange(150) * 0.01
-    rates = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), friction, SMOOTH)
+    rates = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), friction, CREEP_RATE)
     found = predicted(window_of(rates, time), {**START, FRICTION: friction})
     np.testing.assert_allclose(found, rates, atol=2e-4 * np.abs(rates).max())
 
@@ -63,8 +63,8 @@ def test_creeping_instead_of_sticking_changes_little() -> None:
     # A tenth of the rate below which the friction is proportional: as good as Coulomb's law itself.
     time = np.arange(150) * 0.01
     start = np.array([0.0, 0.0, 0.5, -1.0])
-    smooth, sharp = (integrated(time, start, 0.1, rate) for rate in (SMOOTH, 0.1 * SMOOTH))
-    none = integrated(time, start, 0.0, SMOOTH)
+    smooth, sharp = (integrated(time, start, 0.1, rate) for rate in (CREEP_RATE, 0.1 * CREEP_RATE))
+    none = integrated(time, start, 0.0, CREEP_RATE)
     assert np.abs(smooth - sharp).max() < 5e-4 * np.abs(none - sharp).max()
 
 
@@ -91,7 +91,7 @@ def test_a_known_torque_and_irregular_samples() -> None:
 def test_it_is_found_within_its_standard_error() -> None:
     # Truth by the general integrator, friction ten times as sharp; 15 or less of 20 come once in 400.
     rng, time = np.random.default_rng(12), np.arange(150) * 0.01
-    clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.05, 0.1 * SMOOTH)
+    clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.05, 0.1 * CREEP_RATE)
     settings = Settings(free=("initial_lean_rate", "initial_steer_rate", FRICTION))
     scores, held = [], []
     for _ in range(20):
@@ -108,7 +108,7 @@ def test_it_is_found_within_its_standard_error() -> None:
 
 def test_fixed_and_with_a_prior() -> None:
     rng, time = np.random.default_rng(13), np.arange(150) * 0.01
-    clean = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, SMOOTH)
+    clean = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, CREEP_RATE)
     window = window_of(clean + 0.02 * rng.standard_normal(clean.shape), time)
     wrong = fit_window(window, Settings(free=("initial_lean_rate",)))
     right = fit_window(window, Settings(free=("initial_lean_rate",), fixed={FRICTION: 0.1}))
@@ -124,7 +124,7 @@ def test_fixed_and_with_a_prior() -> None:
 
 def test_none_is_found_where_there_is_none() -> None:
     rng, time = np.random.default_rng(14), np.arange(150) * 0.01
-    clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.0, SMOOTH)
+    clean = integrated(time, np.array([0.0, 0.0, 0.5, -1.0]), 0.0, CREEP_RATE)
     window = window_of(clean + 0.02 * rng.standard_normal(clean.shape), time)
     answer = fit_window(window, Settings(free=("initial_lean_rate", "initial_steer_rate", FRICTION)))
     assert answer.parameters[FRICTION] >= 0.0
@@ -134,7 +134,7 @@ def test_none_is_found_where_there_is_none() -> None:
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_estimator_takes_it_or_leaves_it(name: str) -> None:
     time = np.arange(150) * 0.01
-    rates = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, SMOOTH)
+    rates = integrated(time, np.array([0.0, 0.0, 0.5, 0.0]), 0.1, CREEP_RATE)
     noise = 0.02 * np.random.default_rng(15).standard_normal(rates.shape)
     answer = ESTIMATORS[name](window_of(rates + noise, time), Settings(fixed={FRICTION: 0.1}))
     assert answer.status == "ok"

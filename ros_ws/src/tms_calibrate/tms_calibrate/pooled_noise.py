@@ -226,7 +226,7 @@ def _size(found: _Found) -> int:
     """Number of noise parameters of a channel beside its standard deviation."""
     if isinstance(found, ar.ARCandidates):
         return len(found.further) + 1 if len(found.first) else 0
-    return oscillator.UNKNOWNS if found[:, 2].any() else 0
+    return oscillator.PARAMETER_COUNT if found[:, 2].any() else 0
 
 
 def _candidates(

@@ -1,1 +1,1 @@
-"""The nodes of tms_fit, the only modules here that know rclpy."""
+"""ROS 2 nodes of tms_fit, the only modules of the package that import rclpy."""

@@ -1,6 +1,6 @@
-"""The estimator's action ~/fit_recording: all strikes of a bag on its disk.
+"""Action server ~/fit_recording of the estimator: fits of all strikes of a bag on its disk.
 
-One bag at a time is fitted in a thread of its own, while samples go on being handled.
+A worker thread fits one bag at a time while the node continues to process samples.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tms_fit.nodes.requests import asked_for
 from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import Settings
 
-LOOK = 0.1  # [s] between looks at the fits under way
+POLL_PERIOD_S = 0.1  # between checks for finished fits
 
 
 class BagFits:
-    """The action server and its goals."""
+    """Action server with its goals and worker thread."""
 
     def __init__(self, node: Node, settings: Settings) -> None:
         self._settings, self._closing = settings, Event()
@@ -41,10 +41,12 @@ class BagFits:
             handle_accepted_callback=self._begin,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(
+            POLL_PERIOD_S, self._execute_finished, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def close(self) -> None:
-        """Stop what is under way."""
+        """Cancel all fits and stop the worker thread."""
         self._closing.set()
         self._pool.shutdown(cancel_futures=True)
 
@@ -52,8 +54,8 @@ class BagFits:
         self._futures[bytes(goal.goal_id.uuid)] = self._pool.submit(self._fit, goal)
         self._under_way.append(goal)
 
-    def _look(self) -> None:
-        """Hand over what is done; for ROS, execution begins when its result is there."""
+    def _execute_finished(self) -> None:
+        """Execute the goals whose fits have finished; ROS counts a goal as executing from then on."""
         done = [goal for goal in self._under_way if self._futures[bytes(goal.goal_id.uuid)].done()]
         self._under_way = [goal for goal in self._under_way if goal not in done]
         for goal in done:
@@ -78,20 +80,20 @@ class BagFits:
         return result
 
     def _fit(self, goal: ServerGoalHandle) -> RecordingFit:
-        """In the thread."""
+        """Fit of a goal's bag; runs in the worker thread."""
         request: Any = goal.request
         settings = asked_for(self._settings, request)
-        if not request.bag:  # which would be the folder where the estimator was started
+        if not request.bag:  # an empty path is the working directory
             raise RecordingError("bag: expected the path of a bag, found nothing")
         recording = read_recording(request.bag)
         return fit_recording(
             recording,
             bicycle_of(recording, request.bicycle or None),
             settings,
-            progress=lambda share, strikes: self._tell(goal, share, strikes),
+            progress=lambda share, strikes: self._publish_feedback(goal, share, strikes),
         )
 
-    def _tell(self, goal: ServerGoalHandle, share: float, strikes: int) -> None:
+    def _publish_feedback(self, goal: ServerGoalHandle, share: float, strikes: int) -> None:
         if self._closing.is_set() or goal.is_cancel_requested:
             raise CancelledError
         goal.publish_feedback(FitRecording.Feedback(progress=share, strikes=strikes))

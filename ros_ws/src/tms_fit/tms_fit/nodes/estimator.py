@@ -1,4 +1,4 @@
-"""Estimator: filter state after every IMU sample, estimates of the initial lean rate after every strike."""
+"""Estimator node: filter state at every IMU sample, estimates of each strike."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from tms_fit.nodes.refit import offer_refit
 from tms_fit.nodes.settings import declare_settings
 from tms_fit.streaming.live_fit import INPUTS, LiveFit
 
-DEPTH = 2000  # [messages]; a fit takes a few tenths of a second, in which no sample must be lost
+QUEUE_DEPTH = 2000  # messages that arrive during a fit of a few tenths of a second
 
 
 class Estimator(Node):
-    """Node that carries messages to and from a LiveFit."""
+    """Node that passes messages to a LiveFit and publishes its results."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("estimator", **kwargs)
@@ -36,12 +36,12 @@ class Estimator(Node):
         self._idle = settings.idle
         self._fit = LiveFit(settings.fit, settings.bicycle, settings.reorder_window, settings.preview_period)
         self._last = time.monotonic()
-        # Estimates are few and must not be missed by who comes late; filter states are a stream like any
-        # sensor's, and come as many at a time as samples have waited.
+        # Estimates are latched for late subscribers. Filter states are a stream like a sensor's, published in
+        # bursts as large as the queue of samples.
         latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         offered = {
             ESTIMATE: (ESTIMATE_TYPE, latched),
-            FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=DEPTH)),
+            FILTER_STATE: (FILTER_STATE_TYPE, QoSProfile(depth=QUEUE_DEPTH)),
         }
         self._outputs = {
             f"/{topic}": self.create_publisher(
@@ -51,7 +51,7 @@ class Estimator(Node):
         }
         refuse_unknown_parameters(self)
         self._handled = HandledReport(self, INPUTS)
-        self._intake = OrderedIntake(self, {topic: _wanted(topic) for topic in INPUTS}, self._take)
+        self._intake = OrderedIntake(self, {topic: _wanted(topic) for topic in INPUTS}, self._process)
         offer_refit(self, self._fit)
         self._bag_fits = BagFits(self, settings.fit)
         self.create_timer(0.2, self._finish_when_idle, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -59,11 +59,11 @@ class Estimator(Node):
         self.get_logger().info("estimator ready")
 
     def run(self) -> None:
-        """Work until a signal."""
+        """Spin until a signal."""
         rclpy.spin(self)
 
     def close(self) -> None:
-        """Say what came."""
+        """Stop the fits of bags and print the counts of messages."""
         self._bag_fits.close()
         print(f"estimator: {self._counts}", file=sys.stderr)
 
@@ -72,13 +72,13 @@ class Estimator(Node):
         late = self._intake.out_of_order
         return self._fit.diagnostics | ({"out_of_order": late} if late else {})
 
-    def _take(self, topic: str, data: bytes) -> None:
+    def _process(self, topic: str, data: bytes) -> None:
         self._last = time.monotonic()
         self._publish(self._fit.process(topic, data))
         self._handled.add(topic)
 
     def _finish_when_idle(self) -> None:
-        self._intake.handle()  # what waits since this process was held up is no silence
+        self._intake.handle()  # queued messages are no silence
         if time.monotonic() - self._last > self._idle:
             self._last = float("inf")
             self._publish(self._fit.finish())
@@ -102,10 +102,10 @@ class Estimator(Node):
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:
-    """Type of a topic, and what is asked of its publishers as long as nobody publishes."""
+    """Type of a topic, and its requested QoS profile while it has no publisher."""
     latched = topic == topics.RUN_INFO
     profile = QoSProfile(
-        depth=10 if latched else DEPTH,
+        depth=10 if latched else QUEUE_DEPTH,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
     return topics.TYPES[topic], profile

@@ -1,4 +1,4 @@
-"""What `ros2 run tms_fit` finds."""
+"""Entry points of `ros2 run tms_fit`."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from tms_bag.nodes.starting import start
 
 
 def estimator() -> int:
-    """The estimator as a process."""
+    """Run the estimator as a process; its exit code."""
     return start("tms_fit.nodes.estimator")

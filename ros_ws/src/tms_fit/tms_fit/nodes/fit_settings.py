@@ -1,4 +1,4 @@
-"""Settings of a fit as parameters of a node, by the options table."""
+"""Settings of a fit as ROS parameters, declared from the options table."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from tms_model.errors import ParameterError
 from tms_fit.settings import OPTIONS, Option, Settings
 from tms_fit.settings_parser import assignment, each_once, prior
 
-TINY = 1e-9  # least value of a number that must be positive
+SMALLEST_POSITIVE = 1e-9  # lower limit of a parameter that must be positive
 
 
 def declare_fit_settings(node: Node) -> Settings:
-    """Declare and read them. Raises ParameterError."""
+    """Settings from the declared parameters of a node. Raises ParameterError."""
     return Settings(
         **{name: _read(one, _declare(node, one)) for name, one in OPTIONS.items() if one.parameter}
     )
 
 
 def _declare(node: Node, one: Option) -> Any:
-    """Value of a parameter; an empty list has no type for ROS, an empty text or 0 in it stands for none."""
+    """Value of a declared parameter. ROS infers no type from an empty list: [''] or [0.0] replaces it."""
     if one.kind == "number":
-        low = TINY if one.positive and one.default is not None else max(one.low, 0.0)
+        low = SMALLEST_POSITIVE if one.positive and one.default is not None else max(one.low, 0.0)
         return declare(node, one.parameter, one.default or 0.0, _description(one, "0"), low, one.high)
     if one.kind == "numbers":
         return declare(node, one.parameter, [0.0], _description(one, "0"))
@@ -41,7 +41,7 @@ def _description(one: Option, nothing: str, written: str = "") -> str:
 
 
 def _read(one: Option, value: Any) -> Any:
-    """A setting from the value of its parameter. Raises ParameterError."""
+    """Setting from the value of its parameter. Raises ParameterError."""
     if one.kind == "number":
         return value or one.default
     if one.kind == "choice":

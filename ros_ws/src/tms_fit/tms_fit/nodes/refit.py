@@ -1,4 +1,4 @@
-"""The estimator's service ~/refit: a strike once more, with other settings."""
+"""Service ~/refit of the estimator: fit of a past strike with other settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tms_fit.strike_fit import StrikeFit
 
 
 def offer_refit(node: Node, live: LiveFit) -> None:
-    """Create the service."""
+    """Create the service on a node."""
 
     def answer(request: Refit.Request, response: Refit.Response) -> Refit.Response:
         try:
@@ -33,5 +33,5 @@ def offer_refit(node: Node, live: LiveFit) -> None:
 
 
 def estimates_of(fit: StrikeFit) -> list[Estimate]:
-    """The same messages as on the topic `estimate`."""
+    """Estimates of a strike as messages, equal to those of the topic `estimate`."""
     return [deserialize_message(record.data, Estimate) for record in estimate_records(fit)]

@@ -1,4 +1,4 @@
-"""The settings that a request asks for, in place of those that the estimator was started with."""
+"""Settings of service and action requests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tms_fit.settings_parser import each_once
 
 
 def asked_for(base: Settings, request: Any) -> Settings:
-    """Settings of a request (tms_msgs/srv/Refit, action/FitRecording goal); what it leaves empty is base's.
+    """Settings of a request (tms_msgs/srv/Refit, action/FitRecording goal); base replaces empty fields.
 
     Raises ParameterError.
     """

@@ -1,4 +1,4 @@
-"""The estimator's parameters."""
+"""ROS parameters of the estimator."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from tms_fit.streaming.live_fit import PREVIEW_PERIOD_S, REORDER_WINDOW_S
 
 @dataclass(frozen=True)
 class EstimatorParameters:
-    """What the estimator was started with."""
+    """Parameters of the estimator node."""
 
     fit: Settings
     bicycle: str  # empty: the one that run_info names
-    idle: float  # [s]
-    reorder_window: float  # [s]
-    preview_period: float  # [s], 0: none
+    idle: float  # [s] without IMU samples that ends a run
+    reorder_window: float  # [s] that a sample may arrive late
+    preview_period: float  # [s] between previews of a response, 0: none
 
 
 def declare_settings(node: Node) -> EstimatorParameters:
-    """Declare and read all parameters. Raises ParameterError."""
+    """Declared parameters of the estimator node. Raises ParameterError."""
     return EstimatorParameters(
         fit=declare_fit_settings(node),
         bicycle=declare(

@@ -1,8 +1,8 @@
-"""Models of the measurement noise by name. A new one: one file here and one line below.
+"""Noise models of the measurements by name. A new one: one file here and one line below.
 
-Each is a function (time, residual, jacobian) -> Noise: it estimates its own parameters from the residuals
-(n, 2) of a fit [rad/s] at times (n,) [s], NaN where nothing was measured, and from the derivatives (n, 2, p)
-of the prediction by what was fitted, by which residuals are smaller than the noise that they stand for.
+Each is a function (time, residual, jacobian) -> Noise. It estimates its parameters from the residuals (n, 2)
+[rad/s] of a fit at times (n,) [s], NaN where nothing was measured. The derivatives (n, 2, p) of the
+prediction by the fitted parameters correct for the degrees of freedom that the fit removed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tms_fit.noise import ar, oscillator, white
 
 
 class Noise(Protocol):
-    """A noise model with its parameters."""
+    """Noise model with its parameters."""
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -27,10 +27,10 @@ class Noise(Protocol):
         """Logarithm of the determinant of the covariance of all samples used."""
 
     def rows(self, values: Array) -> Array:
-        """Values of both channels (n, 2, ...) as rows (m, ...) whose noise is white, of variance one."""
+        """Whitened rows (m, ...) of unit variance for values (n, 2, ...) of both channels."""
 
     def innovations(self, residual: Array) -> Array:
-        """Residuals (n, 2) made white, of variance one; NaN where nothing was measured."""
+        """Whitened residuals (n, 2) of unit variance; NaN where nothing was measured."""
 
 
 NoiseModel = Callable[[Array, Array, Array], Noise]

@@ -2,11 +2,11 @@
 
     e[t] = r[t] - a_1 r[t-1] - ... - a_p r[t-p], white, of variance s^2
 
-A window of 1.5 s determines the correlation time of noise that is correlated over 0.2 s badly, and intervals
-at the maximum-likelihood noise parameters are far too narrow. So parameters and covariance are averaged over
-candidates of the noise (`tms_fit.noise.posterior`): the first
-reflection coefficient r of each channel, which for order one is the correlation of neighbours, runs over a
-grid with a flat prior in artanh r. Higher coefficients are Burg's, their number has the least BIC.
+A window of 1.5 s determines a correlation time of 0.2 s poorly, and intervals at the maximum-likelihood noise
+parameters are far too narrow. So parameters and covariance are averaged over candidate noise models
+(`tms_fit.noise.posterior`): the first reflection coefficient r of each channel, which is the lag-one
+correlation of a process of order one, runs over a grid with a flat prior in artanh r. Higher coefficients are
+Burg's; the order has the least BIC.
 """
 
 from __future__ import annotations
@@ -23,50 +23,48 @@ from tms_model.bicycle import Array
 from tms_fit.noise.ar_process import ARChannelNoise, burg, grid_places, process
 from tms_fit.noise.colored import ColoredNoise, colored_noise
 
-GRID_STD_STEPS = np.linspace(
-    -4.0, 9.0, 21
-)  # of the grid, in standard errors from Burg's coefficient, in artanh
-BIC_MARGIN = 6.0  # fall of BIC from which on residuals are called coloured: once in 500 white channels
+GRID_STD_STEPS = np.linspace(-4.0, 9.0, 21)  # in artanh r, standard errors from Burg's coefficient
+BIC_MARGIN = 6.0  # decrease of BIC by an autoregressive model; exceeded by one white channel in 500
 MAX_ARTANH = 3.5  # largest artanh of a reflection coefficient: 0.998
 
 
 @dataclass(frozen=True, eq=False)
 class ARFamily:
-    """Candidate autoregressive processes of a channel, each with innovations of deviation one."""
+    """Candidate autoregressive processes of a channel, with innovations of unit standard deviation."""
 
     members: tuple[ARChannelNoise, ...]
 
     @cached_property
     def log_determinants(self) -> Array:
-        """Of each candidate's covariance (g,)."""
+        """Logarithm of the determinant (g,) of each candidate's covariance."""
         return np.array([noise.log_determinant for noise in self.members])
 
     def products(self, values: Array) -> Array:
-        """Whitened values' products (g, q, q), of values (m, q) of the samples."""
+        """Products (g, q, q) of whitened values, for values (m, q) of the samples."""
         rows = [noise.rows(values) for noise in self.members]
         return np.array([one.T @ one for one in rows])
 
     def member(self, index: int, std: float) -> ARChannelNoise:
-        """One candidate with innovations of a deviation [rad/s]."""
+        """One candidate with innovations of standard deviation std [rad/s]."""
         one = self.members[index]
         return ARChannelNoise(one.process, std, one.places, one.count)
 
 
 @dataclass(frozen=True, eq=False)
 class ARCandidates:
-    """Candidates for the noise of one channel."""
+    """Grid of candidate processes of one channel by their reflection coefficients."""
 
-    first: Array  # (g,) reflection coefficients of order one that are tried, ascending; (0,): white noise
+    first: Array  # (g,) first reflection coefficients, ascending; (0,): white noise
     further: Array  # (p - 1,) those of higher orders
 
     def within(self, low: float, high: float) -> ARCandidates:
-        """As many between two values of artanh of the first coefficient."""
+        """Grid of the same size between two values of artanh of the first coefficient."""
         around = np.clip(np.linspace(low, high, len(GRID_STD_STEPS)), -MAX_ARTANH, MAX_ARTANH)
         return ARCandidates(np.unique(np.tanh(around)), self.further)
 
 
 def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
-    """The likeliest noise by residuals (n, 2) of a fit with derivatives (n, 2, p), and its candidates."""
+    """Likeliest noise with its candidates, from residuals (n, 2) of a fit with derivatives (n, 2, p)."""
     good = np.isfinite(residual)
     channels = [c for c in range(2) if good[:, c].sum() > 2]
     found = {c: candidates([residual[good[:, c], c]]) for c in channels}
@@ -76,7 +74,7 @@ def fit(time: Array, residual: Array, jacobian: Array) -> ColoredNoise:
 def is_autocorrelated(*residuals: Array) -> bool:
     """Whether residuals (n, 2) of one run or several are autocorrelated in some channel.
 
-    They are where an autoregressive model lowers BIC by more than BIC_MARGIN.
+    The criterion is a decrease of BIC by more than BIC_MARGIN.
     """
     for c in range(2):
         segments = [residual[np.isfinite(residual[:, c]), c] for residual in residuals]
@@ -91,9 +89,10 @@ def is_autocorrelated(*residuals: Array) -> bool:
 
 
 def candidates(residuals: Sequence[Array]) -> ARCandidates:
-    """Candidates for the noise of a channel by its residuals (n,) in each run; white without autocorrelation.
+    """Candidate processes of a channel from its residuals (n,) in each run; white without autocorrelation.
 
-    As wide as one run leaves it: the fit of each run makes its residuals less correlated than the noise.
+    The grid is as wide as one run requires, since the fit of each run reduces the correlation of its
+    residuals.
     """
     reflections, _ = burg(*residuals)
     if not len(reflections):
@@ -106,7 +105,7 @@ def candidates(residuals: Sequence[Array]) -> ARCandidates:
 
 
 def families(time: Array, good: NDArray[np.bool_], found: Mapping[int, ARCandidates]) -> dict[int, ARFamily]:
-    """The candidates of each channel at the samples of a run: times (n,), measured (n, 2)."""
+    """Candidate processes by channel at the samples of a run: times (n,) [s], measured (n, 2)."""
     places = grid_places(time)
     return {c: _family(places[good[:, c]], one) for c, one in found.items() if good[:, c].sum() > 2}
 

@@ -1,4 +1,4 @@
-"""Autoregressive processes: exact whitening with missing samples, autocovariances, estimation by Burg.
+"""Autoregressive processes: exact whitening with missing samples, autocovariances, Burg's method.
 
 References: J. P. Burg, thesis (1975); N. Levinson (1947) and J. Durbin (1960) for the filters of all orders;
 R. H. Jones, Technometrics 22 (1980), doi 10.1080/00401706.1980.10486171, for missing samples.
@@ -19,18 +19,18 @@ MAX_ORDER = 8
 
 @dataclass(frozen=True, eq=False)
 class ARProcess:
-    """An autoregressive process in units of its own innovations; all filters from order 0 to p."""
+    """Autoregressive process in units of its innovations, with prediction filters of orders 0 to p."""
 
     filters: tuple[Array, ...]  # filters[k]: (k,) coefficients to predict from the last k samples
-    variances: Array  # (p + 1,) of the error of each, in innovation variances; the last is 1
+    variances: Array  # (p + 1,) of their prediction errors, in innovation variances; the last is 1
 
     @property
     def order(self) -> int:
-        """Number of past samples that predict the next."""
+        """Order of the process: number of past samples that predict the next."""
         return len(self.filters) - 1
 
     def whiten(self, values: Array) -> Array:
-        """Values (n, ...) at equal steps whitened to variance one, exactly from the first sample on."""
+        """Whitened values (n, ...) of unit variance at equal steps, exact from the first sample on."""
         white = np.array(values)
         for k, weight in enumerate(self.filters[-1]):
             white[self.order :] -= weight * values[self.order - 1 - k : len(values) - 1 - k]
@@ -41,12 +41,12 @@ class ARProcess:
         return white
 
     def log_determinant(self, count: int) -> float:
-        """Of the covariance of `count` samples."""
+        """Logarithm of the determinant of the covariance of `count` samples."""
         return float(np.sum(np.log(self.variances[: min(count, self.order)])))
 
 
 def process(reflections: Array) -> ARProcess:
-    """Process by its reflection coefficients (p,), each within -1 and 1: Levinson's recursion."""
+    """Process with reflection coefficients (p,) between -1 and 1, by Levinson's recursion."""
     filters, variances = [np.empty(0)], [1.0]
     for reflection in reflections:
         last = filters[-1]
@@ -61,7 +61,7 @@ def autocovariances(processes: Sequence[ARProcess], count: int) -> Array:
     found = np.zeros((len(processes), count))
     found[:, 0] = [one.variances[0] for one in processes]
     weights = np.zeros((len(processes), order))
-    # Levinson: the covariance at lag k is what the filter of order k makes of those before.
+    # Levinson: the filter of order k applied to the preceding lags gives the covariance at lag k.
     for k in range(1, count):
         if k <= order:
             weights = np.array([one.filters[k] for one in processes])
@@ -72,7 +72,7 @@ def autocovariances(processes: Sequence[ARProcess], count: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ARChannelNoise:
-    """Noise of one channel on a grid of equal steps, some of which may hold no sample."""
+    """Autoregressive noise of one channel on a grid of equal steps with missing samples."""
 
     process: ARProcess
     std: float  # [rad/s] of the innovations
@@ -80,7 +80,7 @@ class ARChannelNoise:
     count: int  # of the grid
 
     def rows(self, values: Array) -> Array:
-        """Values (m, ...) of the samples as rows (count, ...) of variance one."""
+        """Whitened rows (count, ...) of unit variance for values (m, ...) of the samples."""
         grid = np.zeros((self.count, *values.shape[1:]))
         grid[self.places] = values
         white = self.process.whiten(grid)
@@ -93,18 +93,18 @@ class ARChannelNoise:
         return rows
 
     def innovations(self, values: Array) -> Array:
-        """Values (m,) of the samples made white, of variance one."""
+        """Whitened values (m,) of unit variance at the samples."""
         return self.rows(values)[self.places]
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Deviation of the innovations [rad/s] and coefficients."""
+        """Standard deviation of the innovations [rad/s] and coefficients."""
         weights = {f"ar{k + 1}": float(weight) for k, weight in enumerate(self.process.filters[-1])}
         return {"innovation_std": self.std, **weights}
 
     @property
     def log_determinant(self) -> float:
-        """Of the covariance of the samples."""
+        """Logarithm of the determinant of the samples' covariance."""
         found = self.process.log_determinant(self.count) + 2.0 * math.log(self.std) * len(self.places)
         if len(self.places) < self.count:
             unit = self._missing()
@@ -120,7 +120,7 @@ class ARChannelNoise:
 
 
 def grid_places(time: Array) -> NDArray[np.int_]:
-    """Places (n,) of the samples on a grid of equal steps; their numbers when they fit on none."""
+    """Places (n,) of samples at times (n,) [s] on a grid of equal steps; 0 to n - 1 if none fits."""
     numbers = np.arange(len(time))
     if len(time) < 3:
         return numbers
@@ -131,9 +131,9 @@ def grid_places(time: Array) -> NDArray[np.int_]:
 
 
 def burg(*segments: Array) -> tuple[Array, float]:
-    """Reflection coefficients of the order with the least BIC, and the deviation of the innovations.
+    """Reflection coefficients (p,) of the order with the least BIC, and innovations' standard deviation.
 
-    segments: values (n,) of one process, of each run; nothing is predicted from one across to the next.
+    segments: values (n,) of one process in each run; no prediction crosses from one run to the next.
     """
     errors = [(values[1:].copy(), values[:-1].copy()) for values in segments]
     count = sum(len(values) for values in segments)

@@ -1,4 +1,4 @@
-"""Autocorrelated noise, one model per channel: the likeliest candidate and those it is averaged with."""
+"""Autocorrelated noise, one model per channel: the likeliest candidate and its alternatives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tms_fit.parameters import CHANNELS
 
 @dataclass(frozen=True, eq=False)
 class ColoredNoise:
-    """A noise process on each channel that was measured."""
+    """Noise process of each measured channel, with candidates."""
 
     good: NDArray[np.bool_]  # (n, 2), measured
     families: Mapping[int, Family]  # candidates by channel
@@ -36,12 +36,12 @@ class ColoredNoise:
         return sum(noise.log_determinant for noise in self.channels.values())
 
     def rows(self, values: Array) -> Array:
-        """Whiten values (n, 2, ...): rows (m, ...) of variance one, more where samples are missing."""
+        """Whitened rows (m, ...) of unit variance for values (n, 2, ...); more rows with missing samples."""
         parts = [noise.rows(values[self.good[:, c], c]) for c, noise in self.channels.items()]
         return np.concatenate(parts) if parts else np.empty((0, *values.shape[2:]))
 
     def innovations(self, residual: Array) -> Array:
-        """Whitened residuals (n, 2), of variance one."""
+        """Whitened residuals (n, 2) of unit variance; NaN where nothing was measured."""
         white = np.full(residual.shape, np.nan)
         for c, noise in self.channels.items():
             white[self.good[:, c], c] = noise.innovations(residual[self.good[:, c], c])
@@ -61,7 +61,7 @@ class ColoredNoise:
 
 
 def colored_noise(families: Mapping[int, Family], residual: Array, jacobian: Array) -> ColoredNoise:
-    """The likeliest noise by residuals (n, 2) of a fit with derivatives (n, 2, p), candidates by channel."""
+    """Likeliest noise from residuals (n, 2) of a fit with derivatives (n, 2, p); families: candidates."""
     good = np.isfinite(residual)
     if not families:
         return ColoredNoise(good, {}, {})
@@ -71,7 +71,7 @@ def colored_noise(families: Mapping[int, Family], residual: Array, jacobian: Arr
 
 
 def likeliest_noise(piece: Piece, found: Posterior) -> ColoredNoise:
-    """The combination of largest weight, at the samples of one run."""
+    """Noise of the combination of largest weight, at the samples of one run."""
     channels = {c: family.member(found.best[c], found.stds[c]) for c, family in piece.families.items()}
     return ColoredNoise(np.isfinite(piece.residual), piece.families, channels)
 

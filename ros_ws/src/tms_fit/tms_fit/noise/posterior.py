@@ -1,10 +1,10 @@
 """Posterior distribution of the noise model, and unknowns averaged over it, for one run or several.
 
-Each channel has a family of candidate noise models, the same for all runs. Each combination of candidates of
-the two channels and of ratios between the channels' deviations has the weight of its restricted likelihood,
-which allows for the unknowns that the fit has removed from the residuals. The common variance is integrated
-out. A run's own unknowns are projected out of its rows for each combination (block elimination), so that cost
-grows with the number of runs, not with its square. One run is one piece without unknowns of its own.
+Each channel has a family of candidate noise models, the same for all runs. The weight of a combination of
+candidates of the two channels and of the ratio of their standard deviations is its restricted likelihood, in
+which the fitted unknowns and the common variance are integrated out. A run's own unknowns are eliminated from
+its rows for each combination (block elimination), so the cost grows with the number of runs, not with its
+square. One run is one piece without unknowns of its own.
 
 References: H. D. Patterson and R. Thompson, Biometrika 58 (1971), doi 10.1093/biomet/58.3.545; D. A.
 Harville, Biometrika 61 (1974), doi 10.1093/biomet/61.2.383, for its meaning as a posterior.
@@ -20,31 +20,31 @@ from typing import Protocol
 import numpy as np
 from tms_model.bicycle import Array
 
-SMALLEST_SINGULAR_VALUE = 1e-10  # of the scaled derivatives, per largest, that counts
-ROUNDING = 1e-12  # share of a sum of squares below which a difference of two has no true digits
+SMALLEST_SINGULAR_VALUE = 1e-10  # of the scaled derivatives, relative to the largest
+ROUNDING = 1e-12  # relative rounding error of a difference of two sums of squares
 RATIO_STEPS = np.linspace(-2.5, 2.5, 5)  # of the grid, in standard errors of the logarithm of the ratio
 
 
 class ChannelNoise(Protocol):
-    """Noise of one channel, with all its parameters."""
+    """Noise of one channel with its parameters."""
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """By name, SI."""
+        """Parameters by name, SI."""
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the samples' covariance."""
 
     def rows(self, values: Array) -> Array:
-        """Whiten values (m, ...) of the samples: rows of variance one, more than m where some are missing."""
+        """Whitened rows of unit variance for values (m, ...); more than m with missing samples."""
 
     def innovations(self, values: Array) -> Array:
-        """Whitened values (m,) at the samples, of variance one."""
+        """Whitened values (m,) of unit variance at the samples."""
 
 
 class Family(Protocol):
-    """Candidates for one channel's noise: g models with innovations of deviation one."""
+    """Candidate noise models (g) of one channel with innovations of unit standard deviation."""
 
     @property
     def log_determinants(self) -> Array:
@@ -54,12 +54,12 @@ class Family(Protocol):
         """Products (g, q, q) of whitened values, for values (m, q) of the samples."""
 
     def member(self, index: int, std: float) -> ChannelNoise:
-        """One candidate at a deviation [rad/s]."""
+        """One candidate with innovations of standard deviation std [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One run linearised around its solution, with the candidates for its noise."""
+    """One run linearised at its solution, with its candidate noise models."""
 
     families: Mapping[int, Family]  # of each channel that was measured
     own: Array  # (n, 2, q) derivatives by its own unknowns
@@ -74,7 +74,7 @@ class Posterior:
 
     weights: Array  # (g, h, r) candidates of the first channel, of the second, ratios
     variances: Array  # (g, h, r) [rad^2/s^2] of the first channel's innovations
-    ratios: Array  # (r,) logarithms of the second channel's deviation per the first's
+    ratios: Array  # (r,) log standard deviation of the second channel relative to the first
     shift: Array  # (s,) mean change of the shared unknowns
     covariance: Array  # (s, s)
     own_shift: tuple[Array, ...]  # (q,) of each run
@@ -88,14 +88,14 @@ class Posterior:
 
     @property
     def stds(self) -> tuple[float, float]:
-        """Deviations [rad/s] of the two channels' innovations in that combination."""
+        """Standard deviations [rad/s] of the channels' innovations in the combination of largest weight."""
         std = math.sqrt(float(self.variances[self.best]))
         return std, std * math.exp(float(self.ratios[self.best[2]]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Basis:
-    """Own unknowns of a run with orthonormal derivatives, and shared ones orthogonal to those."""
+    """Orthonormal basis of a run's own unknowns, and of the shared ones orthogonal to them."""
 
     own: Array  # T (q, q')
     leak: Array  # K (q, s) of the shared unknowns into the run's own
@@ -103,7 +103,7 @@ class _Basis:
 
     @property
     def matrix(self) -> Array:
-        """(q + s + 1, q' + s' + 1) for derivatives by own and shared unknowns and the residual."""
+        """Matrix (q + s + 1, q' + s' + 1) for derivatives by own and shared unknowns and the residual."""
         (q, a), (s, b) = self.own.shape, self.shared.shape
         matrix = np.zeros((q + s + 1, a + b + 1))
         matrix[:q, :a], matrix[:q, a : a + b] = self.own, -self.leak @ self.shared
@@ -114,11 +114,11 @@ class _Basis:
 
 @dataclass(frozen=True, eq=False)
 class _Eliminated:
-    """One run with its own unknowns solved for, per combination (...)."""
+    """One run with its own unknowns eliminated, per combination (...)."""
 
     inverse: Array  # (..., q', q') of the normal matrix of its own unknowns
     cross: Array  # (..., q', s' + 1) with the shared unknowns and the residual
-    left: Array  # (..., s' + 1, s' + 1) normal matrix of what is left
+    left: Array  # (..., s' + 1, s' + 1) Schur complement: shared unknowns and residual
     log_determinant: Array  # (...)
 
 
@@ -130,9 +130,9 @@ def posterior(
 ) -> Posterior:
     """Weights of all combinations by restricted likelihood, and the unknowns averaged over them.
 
-    prior: rows (k, s) of priors on shared unknowns and their residuals (k,). ratios (r,): logarithms of the
-    ratios between the channels' deviations; None: a grid around the residuals' ratio. with_own: False where
-    only the shared unknowns are needed.
+    prior: rows (k, s) of priors on shared unknowns and their residuals (k,). ratios (r,): log standard
+    deviation of the second channel relative to the first; None: a grid around that of the residuals.
+    with_own: False where only the shared unknowns are needed.
     """
     bases = _bases(pieces)
     products = [_products(piece, basis) for piece, basis in zip(pieces, bases, strict=True)]
@@ -145,7 +145,7 @@ def posterior(
         ratios = _ratios(whole, counts, len(pieces))
     scale = np.exp(-2.0 * ratios)
     squares = whole[0][:, None, None] + whole[1][None, :, None] * scale
-    rough = float(squares.min()) / sum(counts)  # a variance, by which priors are weighted
+    rough = float(squares.min()) / sum(counts)  # [rad^2/s^2] by which priors are weighted
     runs = []
     for piece, basis, (first, second) in zip(pieces, bases, products, strict=True):
         grams = first[:, None, None] + second[None, :, None] * scale[:, None, None]
@@ -160,9 +160,9 @@ def posterior(
 
 
 def orthogonal(jacobian: Array) -> Array:
-    """Matrix (p, k) that makes derivatives (m, p) orthonormal columns (m, k).
+    """Matrix (p, k) that transforms derivatives (m, p) to orthonormal columns (m, k).
 
-    Normal equations in that basis keep all digits. Directions without information are left out.
+    Normal equations in that basis are well conditioned. Directions without information are left out.
     """
     if not jacobian.shape[1]:
         return np.empty((0, 0))
@@ -187,7 +187,7 @@ def _average(
     size = left.shape[-1] - 1
     scale = np.sqrt(np.diagonal(left, axis1=-2, axis2=-1).max(axis=(0, 1, 2))[:size])
     scale[scale == 0.0] = 1.0
-    # A direction with information in a channel of no weight only stays finite.
+    # A direction with information only in a channel of no weight stays finite by ROUNDING.
     normal = left[..., :size, :size] / np.outer(scale, scale) + ROUNDING * np.eye(size)
     inverse = np.linalg.inv(normal)
     cross = left[..., :size, size] / scale
@@ -252,7 +252,7 @@ def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Arr
 
 
 def _eliminate(grams: Array, count: int) -> _Eliminated:
-    """A run's products (..., d, d) with its first `count` unknowns projected out."""
+    """Products (..., d, d) of a run with its first `count` unknowns eliminated."""
     if not count:
         shape = grams.shape[:-2]
         return _Eliminated(np.empty((*shape, 0, 0)), grams[..., :0, :], grams, np.zeros(shape))
@@ -265,7 +265,7 @@ def _eliminate(grams: Array, count: int) -> _Eliminated:
 
 
 def _products(piece: Piece, basis: _Basis) -> list[Array]:
-    """Products (g, d, d) of each channel's whitened values; zero (1, d, d) where none was measured."""
+    """Products (g, d, d) of whitened values by channel; zero (1, d, d) for an unmeasured channel."""
     values = np.concatenate([piece.own, piece.shared, piece.residual[:, :, None]], axis=2) @ basis.matrix
     good = np.isfinite(piece.residual)
     size = values.shape[2]
@@ -278,14 +278,14 @@ def _products(piece: Piece, basis: _Basis) -> list[Array]:
 
 
 def _gram(own: Array, shared: Array, off: Array, basis: _Basis) -> Array:
-    """Products (d, d) of prior rows in a basis."""
+    """Gram matrix (d, d) of prior rows in a basis."""
     rows = np.concatenate([own, shared, off[:, None]], axis=1) @ basis.matrix
     gram: Array = rows.T @ rows
     return gram
 
 
 def _bases(pieces: Sequence[Piece]) -> list[_Basis]:
-    """One basis per run; that of the shared unknowns is common."""
+    """Basis of each run; that of the shared unknowns is common."""
     owns, leaks, projected = [], [], []
     for piece in pieces:
         good = np.isfinite(piece.residual)
@@ -301,7 +301,7 @@ def _bases(pieces: Sequence[Piece]) -> list[_Basis]:
 
 
 def _ratios(whole: list[Array], counts: list[int], run_count: int) -> Array:
-    """Logarithms of the ratios around that of the residuals, as uncertain as one run leaves it."""
+    """Grid (r,) of log ratios around that of the residuals, as wide as one run requires."""
     if not (counts[0] and counts[1]):
         return np.zeros(1)
     least = [float(one.min()) / count for one, count in zip(whole, counts, strict=True)]

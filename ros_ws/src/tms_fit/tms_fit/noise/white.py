@@ -1,4 +1,4 @@
-"""White noise of one variance for both channels."""
+"""White noise model with one variance for both channels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class White:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The standard deviation."""
+        """Standard deviation by name [rad/s]."""
         return {"noise_std": self.std}
 
     @property
@@ -28,17 +28,17 @@ class White:
         return 2.0 * math.log(self.std) * int(self.good.sum()) if self.std > 0.0 else -math.inf
 
     def rows(self, values: Array) -> Array:
-        """Values (n, 2, ...) as rows (m, ...) of variance one."""
+        """Whitened rows (m, ...) of unit variance for values (n, 2, ...)."""
         rows: Array = values[self.good] / (self.std or 1.0)
         return rows
 
     def innovations(self, residual: Array) -> Array:
-        """Residuals (n, 2) per standard deviation."""
+        """Residuals (n, 2) in standard deviations; NaN where nothing was measured."""
         return np.where(self.good, residual, np.nan) / (self.std or 1.0)
 
 
 def fit(time: Array, residual: Array, jacobian: Array) -> White:
-    """The standard deviation that residuals (n, 2) show, for as many unknowns as jacobian (n, 2, p) has."""
+    """White noise with the standard deviation of residuals (n, 2), less p degrees of freedom of the fit."""
     good = np.isfinite(residual)
     degrees = max(int(good.sum()) - jacobian.shape[2], 1)
     return White(good, math.sqrt(float(np.sum(residual[good] ** 2)) / degrees))

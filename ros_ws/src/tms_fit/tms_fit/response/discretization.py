@@ -1,4 +1,4 @@
-"""Discretisation of the bicycle's equations over a window, for any speed over time."""
+"""Discretisation of the bicycle's equations of motion at varying speed."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from tms_model.exponential import expm
 from tms_model.response import FASTEST, state_matrix, torque_column, yaw_row
 from tms_model.varying_speed import transitions_from, varying_system
 
-SLOWEST = 0.05  # [m/s]; a bicycle that stands has no response to compare
+MIN_SPEED = 0.05  # [m/s] of a rolling bicycle
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """x[k] = transitions[k] x[k - 1] + torque_steps[k] T[k - 1]; x[-1] is the state at the start.
+    """Discrete state-space model of a window.
 
-    States in the order of tms_model.response.STATE; the yaw rate is yaw[k] x[k]. The torque before the first
-    sample is that of the first sample.
+    x[k] = transitions[k] x[k - 1] + torque_steps[k] T[k - 1], where x[-1] is the state at the start. States
+    in the order of tms_model.response.STATE; the yaw rate is yaw[k] x[k]. The torque before the first sample
+    is that of the first sample.
     """
 
     transitions: Array  # (n, 4, 4)
@@ -33,10 +34,10 @@ class Transitions:
 
 
 def known_values(window: Window) -> dict[str, float]:
-    """Values of the nonlinear parameters as the window has them, before anything is fitted.
+    """Values of the nonlinear parameters by the window, before a fit.
 
-    No `rolling_resistance`: the speed follows the window's speed curve. Where one is given and `speed` isn't,
-    the speed at the start is what `speeds_at` says.
+    Without `rolling_resistance` the speed follows the window's speed curve; `speeds_at` defines the speed
+    with `rolling_resistance` and without `speed`.
     """
     return {
         "speed": window.start_speed,
@@ -69,10 +70,10 @@ def speeds_at(window: Window, nonlinear: Mapping[str, float], times: Array) -> A
 
 
 def discretize(window: Window, nonlinear: Mapping[str, float]) -> Transitions:
-    """Transitions of a window for nonlinear parameters by name; those left out are as `known_values` says.
+    """Transitions of a window for nonlinear parameters by name; others have their `known_values`.
 
-    The speed is that of `speeds_at`. Raises ParameterError for a speed of zero or less at some
-    sample, for a start after the first sample, and for a bicycle that can't tell what a changing speed does.
+    The speed is that of `speeds_at`. Raises ParameterError for a speed below MIN_SPEED at some sample, for a
+    start after the first sample, and for a bicycle without the parameters that a varying speed requires.
     """
     values = {**known_values(window), **nonlinear}
     start = values["strike_time"]
@@ -84,9 +85,9 @@ def discretize(window: Window, nonlinear: Mapping[str, float]) -> Transitions:
     if "rolling_resistance" in values:
         falling = values["rolling_resistance"] * coasting_loss(window.bicycle)
     speeds = speeds_at(window, nonlinear, times)
-    if not (np.isfinite(speeds).all() and (speeds >= SLOWEST).all() and (speeds <= FASTEST).all()):
+    if not (np.isfinite(speeds).all() and (speeds >= MIN_SPEED).all() and (speeds <= FASTEST).all()):
         raise ParameterError(
-            f"speed: expected {SLOWEST:g} to {FASTEST:g} m/s over the whole window, found"
+            f"speed: expected {MIN_SPEED:g} to {FASTEST:g} m/s over the whole window, found"
             f" {speeds.min():g} to {speeds.max():g}; fit a shorter window"
         )
     transitions, torque_steps = _transitions(bicycle, times, speeds, window, falling)
@@ -96,9 +97,9 @@ def discretize(window: Window, nonlinear: Mapping[str, float]) -> Transitions:
 def _transitions(
     bicycle: Bicycle, times: Array, speeds: Array, window: Window, falling: float | None
 ) -> tuple[Array, Array]:
-    """Transitions (n, 4, 4), and what they do with a torque (n, 4); falling [m/s^2]: evenly, None: not so."""
-    # Whole nanoseconds, so that equal steps share one matrix whatever the float times are; but for the first,
-    # since the start may be what is searched, and a search on a grid never settles.
+    """Transitions (n, 4, 4) and torque steps (n, 4); falling: constant deceleration [m/s^2], or None."""
+    # Whole nanoseconds, so that equal steps share one matrix in spite of rounding. The first step is exact,
+    # since the strike time may be estimated, and a minimiser does not converge on a grid.
     steps = np.diff(times)
     steps[1:] = np.round(steps[1:], 9)
     if (speeds == speeds[0]).all():
@@ -133,7 +134,7 @@ def _falling_evenly(
     series = even_transitions(bicycle, speeds[even], acceleration, float(distinct[usual]), window.resistance)
     if series is None:
         return None
-    # The first is not rounded: the start may be what is searched. Before others, samples were lost.
+    # The first step is not rounded, since the strike time may be estimated; others follow lost samples.
     single = np.append(0, 1 + np.flatnonzero(index != usual))
     lengths = steps[single]
     some = lengths > 0.0  # the strike may fall on the first sample
@@ -147,7 +148,7 @@ def _falling_evenly(
 
 
 def as_ridden(bicycle: Bicycle, lean_rate_gain: float, steer_damper: float = 0.0) -> Bicycle:
-    """The bicycle with the controller and the steer damping of this run beside its own steer elements."""
+    """Bicycle with the controller and the steer damper of the run added to its own steer elements."""
     if not (lean_rate_gain or steer_damper):
         return bicycle
     own = bicycle.steer_elements

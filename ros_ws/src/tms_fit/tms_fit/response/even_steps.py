@@ -1,6 +1,6 @@
 """Chebyshev series of the transitions at constant deceleration and constant sampling step.
 
-At one deceleration and one step the transition is an entire function of the speed that the step begins with.
+At one deceleration and one step the transition is an entire function of the speed at the step's start.
 Its Chebyshev series (L. N. Trefethen, Approximation Theory and Approximation Practice (2013), ch. 3 and 8)
 over the window's speeds needs a handful of transitions, however many samples there are.
 """
@@ -17,7 +17,7 @@ from tms_model.resistance import Resistance
 from tms_model.varying_speed import transitions_from
 
 TERMS = 20
-SERIES_TOLERANCE = 1e-13  # of the largest transition: the series' last terms; above it there is no series
+SERIES_TOLERANCE = 1e-13  # of the series' last terms, relative to the largest
 _ANGLES = (np.arange(TERMS) + 0.5) * (math.pi / TERMS)
 _NODES = np.cos(_ANGLES)
 _COEFFICIENTS = 2.0 / TERMS * np.cos(np.outer(np.arange(TERMS), _ANGLES))
@@ -29,7 +29,7 @@ def even_transitions(
 ) -> Array | None:
     """Transitions (n, 5, 5) of state and held torque over equal steps [s] that begin with speeds (n,) [m/s].
 
-    acceleration [m/s^2]: the same in all. None where the series doesn't pay or isn't exact to 1e-13. Raises
+    acceleration [m/s^2]: the same in all. None for too few steps or a series not exact to 1e-13. Raises
     ParameterError as `transitions_from` does.
     """
     low, high = float(speeds.min()), float(speeds.max())

@@ -1,10 +1,10 @@
-"""Response with Coulomb friction of the steering (headset).
+"""Response with regularised Coulomb friction of the steering (headset).
 
-    torque = -T clip(steer rate / SMOOTH, -1, 1)
+    torque = -T clip(steer rate / CREEP_RATE, -1, 1)
 
-so that the steering doesn't stick but creeps: below SMOOTH the friction is proportional to the steer rate. A
-step of at most STEP takes the friction of its mean steer rate, which is solved for (the midpoint rule;
-without friction the steps are exact). The response isn't linear in the initial state.
+Below CREEP_RATE the friction is proportional to the steer rate, so the steering creeps and does not stick.
+The friction of a step of at most MAX_STEP_S is that of its mean steer rate (implicit midpoint rule; without
+friction the steps are exact). The response is nonlinear in the initial state.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from tms_model import Bicycle
 from tms_model.bicycle import Array
 from tms_model.response import STATE
 
-SMOOTH = 0.0005  # [rad/s]
-STEP = 0.001  # [s]
+CREEP_RATE = 0.0005  # [rad/s]
+MAX_STEP_S = 0.001
 STEER_RATE = STATE.index("steer_rate")
 
 
 def friction_response(window: Window, values: Mapping[str, float]) -> tuple[Array, Transitions]:
-    """States (n, 4) at a window's samples, and the motion in small steps of which they are the last ones.
+    """States (n, 4) at a window's samples, and the transitions over the small steps between them.
 
     values: nonlinear parameters by name, friction [N m] and initial state among them. Raises ParameterError
     as `tms_fit.response.discretization.discretize` does.
@@ -45,7 +45,7 @@ def friction_response(window: Window, values: Mapping[str, float]) -> tuple[Arra
     states = np.empty((len(times), 4))
     state = np.array([named.get(name, 0.0) for name in INITIAL])
     push = moved.torque_steps
-    soft = SMOOTH + 0.5 * friction * push[:, STEER_RATE]
+    soft = CREEP_RATE + 0.5 * friction * push[:, STEER_RATE]
     for k, transition in enumerate(moved.transitions):
         free = transition @ state + push[k] * known[k]
         turning = 0.5 * (state[STEER_RATE] + free[STEER_RATE]) / soft[k]
@@ -55,9 +55,9 @@ def friction_response(window: Window, values: Mapping[str, float]) -> tuple[Arra
 
 
 def _finer(time: Array, start: float) -> tuple[Array, Array]:
-    """Times of steps of at most STEP from the start on, and the places (n,) of the samples among them."""
+    """Times [s] of steps of at most MAX_STEP_S from the start, and places (n,) of the samples among them."""
     ends = np.append(start, time)
-    counts = np.maximum(np.ceil(np.round(np.diff(ends) / STEP, 6)).astype(int), 1)
+    counts = np.maximum(np.ceil(np.round(np.diff(ends) / MAX_STEP_S, 6)).astype(int), 1)
     parts = [
         low + (high - low) * np.arange(1, count + 1) / count
         for low, high, count in zip(ends[:-1], ends[1:], counts, strict=True)
@@ -66,7 +66,7 @@ def _finer(time: Array, start: float) -> tuple[Array, Array]:
 
 
 def _without_torque_gain(window: Window, lean_rate_gain: float) -> tuple[Bicycle, float]:
-    """The bicycle with the run's controller in it, a torque arriving whole, and the share that arrived."""
+    """Bicycle with the run's controller and unit steer torque gain, and the steer torque gain."""
     ridden = as_ridden(window.bicycle, lean_rate_gain)
     whole = replace(ridden.steer_elements, steer_torque_gain=1.0)
     return replace(ridden, steer_elements=whole), window.bicycle.steer_elements.steer_torque_gain

@@ -1,7 +1,7 @@
-"""Prediction of the two channels, linear in initial states and biases, and its derivatives.
+"""Prediction of lean and yaw rate, linear in initial state and biases, with derivatives.
 
-The other parameters (NONLINEAR) shape the columns; derivatives with respect to them are central differences,
-right to 2e-7 of their size (a test compares them with Richardson's extrapolation).
+The columns depend on the other parameters (NONLINEAR). Derivatives by these are central differences with a
+relative error of 2e-7 (a test compares them with Richardson extrapolation).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tms_model import ParameterError
 from tms_model.bicycle import Array
 from tms_model.response import LEAN_RATE
 
-STEPS = {  # of the differences; the speed's is per m/s
+STEPS = {  # of finite differences, SI; that of the speed is relative
     "speed": 1e-4,
     "rolling_resistance": 1e-4,
     "strike_time": 1e-5,
@@ -31,18 +31,19 @@ STEPS = {  # of the differences; the speed's is per m/s
     FRICTION: 1e-4,
     **dict.fromkeys(INITIAL, 1e-4),  # with friction only
 }
-LARGEST = 1e50  # growth of a response from which on its squares are no numbers to reckon with
+MAX_GROWTH = 1e50  # of a response relative to its initial state, whose square does not overflow
 
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Channels of a window as `columns @ parameters + forced`, parameters in the order of LINEAR.
+    """Predicted rates `columns @ parameters + forced`, with parameters in the order of LINEAR.
 
-    With Coulomb friction the initial state shapes the response: its columns are zero, all is in `forced`.
+    With Coulomb friction the response is nonlinear in the initial state: its columns are zero and `forced`
+    includes it.
     """
 
     columns: Array  # (n, 2, 7)
-    forced: Array  # (n, 2) [rad/s], by the known steer torque
+    forced: Array  # (n, 2) [rad/s], due to the known steer torque
 
     def select(self, names: tuple[str, ...]) -> Array:
         """Columns (n, 2, p) of some linear parameters."""
@@ -56,17 +57,17 @@ class Predictor:
 
 
 def predictor(window: Window, nonlinear: Mapping[str, float] | None = None) -> Predictor:
-    """Predictor of a window for nonlinear parameters by name; those left out are as the window has them.
+    """Predictor of a window for nonlinear parameters by name; others have the window's values.
 
     With `steer_coulomb_friction` the initial state is among them (`tms_fit.settings.shaping`), 0 if left out.
 
-    Raises ParameterError as `tms_fit.response.discretization.discretize` does, and for a bicycle that falls
-    beyond all numbers within the window.
+    Raises ParameterError as `tms_fit.response.discretization.discretize` does, and for a response that grows
+    by more than MAX_GROWTH within the window.
     """
     return _predictor(window, tuple(sorted((nonlinear or {}).items())))
 
 
-@lru_cache(maxsize=32)  # rival noise models and hypotheses ask for the same again and again
+@lru_cache(maxsize=32)  # shared by rival noise models and hypotheses
 def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Predictor:
     values = dict(nonlinear)
     columns = np.zeros((len(window.time), 2, len(LINEAR)))
@@ -79,14 +80,15 @@ def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Pred
             columns[:, :, : len(INITIAL)], forced[:] = _channels(
                 discretize(window, values), window.steer_torque
             )
-        if not (np.abs(columns) < LARGEST).all() or not (np.abs(forced) < LARGEST).all():
+        if not (np.abs(columns) < MAX_GROWTH).all() or not (np.abs(forced) < MAX_GROWTH).all():
             raise ParameterError(
-                f"response: expected rates below {LARGEST:g} times those at the start over the whole window,"
-                " found larger ones: such a bicycle falls at once; see speed, lean_rate_gain and the bicycle"
+                f"response: expected rates below {MAX_GROWTH:g} times those at the start over the whole"
+                " window, found larger ones: such a bicycle falls at once; see speed, lean_rate_gain and the"
+                " bicycle"
             )
     pitch = values.get("mounting_pitch", 0.0)
     if pitch:
-        columns, forced = _seen_by(pitch, columns), _seen_by(pitch, forced)
+        columns, forced = _pitched(pitch, columns), _pitched(pitch, forced)
     for channel in range(len(BIASES)):
         columns[:, channel, len(INITIAL) + channel] = 1.0
     if window.slip_window:
@@ -96,7 +98,7 @@ def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Pred
 
 
 def derivative(window: Window, nonlinear: Mapping[str, float], name: str) -> Predictor:
-    """Change of the predictor per unit of one nonlinear parameter, at values given by name."""
+    """Derivative of the predictor by one nonlinear parameter, at values by name."""
     centre = {**known_values(window), **nonlinear}.get(name, 0.0)
     step = STEPS[name] * (centre if name == "speed" else 1.0)
     low, high = centre - step, centre + step
@@ -113,7 +115,7 @@ def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
     """Both channels (n, 2) [rad/s] as an estimate predicts them, and their derivatives (n, 2, p)."""
     nonlinear = estimate.nonlinear
     if window.speed.extrapolated and "speed" not in estimate.names:
-        del nonlinear["speed"]  # a consequence of what was measured before, and of what is free
+        del nonlinear["speed"]  # follows from the extrapolated curve and the free parameters
     model = predictor(window, nonlinear)
     columns = [
         model.columns[:, :, LINEAR.index(name)]
@@ -125,7 +127,7 @@ def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
 
 
 def _channels(moved: Transitions, steer_torque: Array | None) -> tuple[Array, Array]:
-    """Lean and yaw rate (n, 2, 4) per initial state and (n, 2) by a known torque (n,) or None."""
+    """Lean and yaw rate (n, 2, 4) per initial state and (n, 2) due to a known torque (n,) or None."""
     states = _free(moved.transitions) if steer_torque is None else _forced(moved, np.nan_to_num(steer_torque))
     yaw = np.matmul(moved.yaw[:, None, :], states)[:, 0]
     both = np.stack([states[:, LEAN_RATE], yaw], axis=1)
@@ -133,14 +135,14 @@ def _channels(moved: Transitions, steer_torque: Array | None) -> tuple[Array, Ar
 
 
 def _free(transitions: Array) -> Array:
-    """States (n, 4, 5) per initial state, nothing acting: the last column is zero."""
+    """States (n, 4, 5) per initial state without torque: the last column is zero."""
     count = len(transitions)
     states = np.zeros((count, 4, 5))
     if not count:
         return states
     states[0, :, :4] = transitions[0]
     if count > 2 and (transitions[1:] == transitions[1]).all():
-        # Equal steps: what the first k samples are, the next k are after k steps more.
+        # Equal steps: the next k states are the first k, each k steps later.
         known, power = 1, transitions[1]
         while known < count:
             more = min(known, count - known)
@@ -152,7 +154,7 @@ def _free(transitions: Array) -> Array:
 
 
 def _products(transitions: Array) -> Array:
-    """Running products (n, 4, 4): within blocks, all blocks at once, then each block after the last."""
+    """Running products (n, 4, 4): within all blocks at once, then from block to block."""
     count = len(transitions)
     width = math.isqrt(count)
     products = np.empty((-(-count // width), width, 4, 4))
@@ -166,7 +168,7 @@ def _products(transitions: Array) -> Array:
 
 
 def _forced(moved: Transitions, torque: Array) -> Array:
-    """States (n, 4, 5) per initial state, and in the last column by a known torque (n,)."""
+    """States (n, 4, 5) per initial state, and in the last column due to a known torque (n,)."""
     states = np.zeros((len(moved.transitions), 4, 5))
     state = np.eye(4, 5)
     for k, transition in enumerate(moved.transitions):
@@ -176,7 +178,7 @@ def _forced(moved: Transitions, torque: Array) -> Array:
     return states
 
 
-def _seen_by(pitch: float, rates: Array) -> Array:
-    """Lean and yaw rates (n, 2, ...) as a sensor pitched nose up by an angle [rad] feels them."""
+def _pitched(pitch: float, rates: Array) -> Array:
+    """Lean and yaw rates (n, 2, ...) as measured by a sensor pitched nose up by an angle [rad]."""
     cos, sin = math.cos(pitch), math.sin(pitch)
     return np.stack([cos * rates[:, 0] - sin * rates[:, 1], sin * rates[:, 0] + cos * rates[:, 1]], axis=1)
