@@ -1,4 +1,4 @@
-"""Fits from arrays, recordings and windows: the public functions of `tms_fit`, and their result."""
+"""Public functions of `tms_fit`: fits of arrays, recordings and windows, and their result."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FitResult(RecordingFit, Sequence[StrikeFit]):
     @overload
     def __getitem__(self, index: slice) -> Sequence[StrikeFit]: ...
     def __getitem__(self, index: int | slice) -> StrikeFit | Sequence[StrikeFit]:
-        """A strike, counted from 0."""
+        """Strike by index, counted from 0."""
         return self.strikes[index]
 
     def __len__(self) -> int:
@@ -55,9 +55,9 @@ class FitResult(RecordingFit, Sequence[StrikeFit]):
         return to_table(self)
 
     def to_dict(self, hypotheses: bool = False, budget: bool = False) -> dict[str, Any]:
-        """The document of `fit run --json`: SI units and radians, None where nothing is known.
+        """Document of `fit run --json`: SI units and radians, None for unknown values.
 
-        hypotheses, budget: with the tests of rival explanations, with the error budget of each strike.
+        hypotheses: with hypothesis tests of each strike. budget: with the error budget of each strike.
         """
         from tms_fit.output import to_json
 
@@ -142,8 +142,8 @@ def fit(
     settings : Settings, optional
         Settings of the fit; None: the defaults.
     progress : callable, optional
-        Called now and then with the share done and the strikes found; an exception that it raises ends the
-        fit.
+        Called repeatedly with the completed share and the number of strikes; an exception that it raises ends
+        the fit.
     **options
         Fields of `Settings` with other values: `window=2.0`, `free=("initial_lean_rate",)`.
 
@@ -197,7 +197,7 @@ def fit_recording(
     """Strikes of a recording (`tms_bag.read_recording`), each with its estimates.
 
     bicycle: name of the catalogue, file, or `tms_model.Bicycle`; None: the one that the recording states.
-    strike_times, settings, options, progress and what is raised: as for `fit`; RecordingError, too, where the
+    strike_times, settings, options, progress and errors: as for `fit`. Raises RecordingError also where the
     recording states neither a bicycle nor a speed.
 
     >>> from tms_bag import read_recording
@@ -222,7 +222,7 @@ def fit_window(
 
 
 def _chosen(settings: Settings | None, options: dict[str, Any]) -> Settings:
-    """Settings with options in place of theirs. Raises ParameterError for an unknown one."""
+    """Settings updated by options. Raises ParameterError for an unknown option."""
     for name in options:
         if name not in OPTIONS:
             raise ParameterError(f"unknown option {name!r}; expected of {', '.join(OPTIONS)}")

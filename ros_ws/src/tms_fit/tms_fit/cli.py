@@ -1,6 +1,6 @@
 """Command line of the estimators: python -m tms_fit, or ./tms fit.
 
-What a command needs is imported when it runs: `--help` loads neither numpy nor the bicycle.
+Imports are deferred until a command runs: `--help` loads neither numpy nor the bicycle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DIAGNOSTICS = {  # of `fit run`, on request
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Parse the arguments and answer. Raises ParameterError and RecordingError."""
+    """Parse the arguments and run the command. Raises ParameterError and RecordingError."""
     words = sys.argv[1:] if argv is None else list(argv)
     offered = offered_commands("tms.fit")
     arguments = _parser(offered).parse_args(words)
@@ -120,7 +120,7 @@ def _run(arguments: argparse.Namespace) -> None:
 def _report(arguments: argparse.Namespace) -> None:
     fit = _fit(arguments)
     try:
-        import vl_convert  # noqa: F401  # here, since rosdep doesn't know it: all else works without
+        import vl_convert  # noqa: F401  # optional: not available by rosdep
     except ImportError as error:
         raise ParameterError(
             "report: needs vl-convert-python, which isn't installed: pip install vl-convert-python"

@@ -1,4 +1,4 @@
-"""A strike's recording beside its prediction, over more time than was fitted: for figures and reports."""
+"""Comparison of a strike's recording with its prediction beyond the fitted window."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from tms_fit.speed_profile import constant_speed
 from tms_fit.strike_fit import StrikeFit
 from tms_fit.window import Window, make_window
 
-BEFORE, AFTER = 0.5, 4.0  # [s] shown around the start of the free response
-STRETCH = 0.1  # share of the speed by which its curve may go beyond what it had in the window
-SLOWEST_SHARE = 0.1  # of the first speed, down to which a bicycle that slows down is shown
+SHOWN_BEFORE_S, SHOWN_AFTER_S = 0.5, 4.0  # around the start of the free response
+SPEED_MARGIN = 0.1  # of a speed curve beyond its range in the window, relative
+MIN_SPEED_RATIO = 0.1  # of a decelerating bicycle, relative to its start speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +28,19 @@ class Comparison:
     """Lean rate and yaw rate (columns) around one strike, times [s] since the start of the free response."""
 
     strike: StrikeFit
-    estimate: Estimate  # whose prediction this is
-    used: Window  # what was fitted
-    shown: Window  # the same, prolonged up to AFTER or to the next strike
+    estimate: Estimate  # of the prediction
+    used: Window  # fitted
+    shown: Window  # extended to SHOWN_AFTER_S or to the next strike
     time: Array  # (n,) [s] of the samples shown
     measured: Array  # (n, 2) [rad/s], NaN: absent
     predicted: Array  # (n, 2) [rad/s]
-    half: Array  # (n, 2) [rad/s] half of the 95 % band: the estimate's covariance carried to the curves
+    half: Array  # (n, 2) [rad/s] half of the 95 % band, propagated from the estimate's covariance
     before_time: Array  # (m,) [s], negative
     before: Array  # (m, 2) [rad/s] measured just before
 
     @property
     def start_speed(self) -> float:
-        """Speed [m/s] at the start of the free response, as the estimate has it."""
+        """Speed [m/s] at the start of the free response, by the estimate."""
         return self.estimate.complete.get("speed", self.used.start_speed)
 
     @property
@@ -50,7 +50,7 @@ class Comparison:
 
 
 def first_good(strike: StrikeFit) -> Estimate | None:
-    """The first estimate of a strike whose status is ok; None if there is none, or nothing to compare."""
+    """First estimate of a strike with status ok; None without such an estimate or without a window."""
     good = [one for one in strike.estimates if one.status == Status.OK]
     return good[0] if good and strike.window is not None else None
 
@@ -89,16 +89,16 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
 
 
 def source_of(fit: RecordingFit) -> str:
-    """'simulated' or 'measured': no simulated sample may pass for a measured one."""
+    """Origin of a recording in words: 'simulated' or 'measured'."""
     info = fit.recording.run_info
     return "simulated" if info is not None and info.simulated else "measured"
 
 
 def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
-    """The window prolonged beyond what was fitted, up to the next strike: there the curve truly predicts."""
+    """Window extended beyond the fitted samples, up to SHOWN_AFTER_S or to the next strike."""
     imu, torque = fit.recording.imu, fit.recording.steer_torque
     strikes = fit.strikes
-    end = used.start_ns + round(AFTER * 1e9)
+    end = used.start_ns + round(SHOWN_AFTER_S * 1e9)
     if number < len(strikes):
         end = min(end, strikes[number].strike.onset_ns)
     rows = np.flatnonzero((imu.time_ns >= used.first_ns) & (imu.time_ns <= end))
@@ -118,22 +118,22 @@ def _shown_window(fit: RecordingFit, number: int, used: Window) -> Window:
 
 
 def _as_assumed(window: Window, estimate: Estimate) -> Window:
-    """The window with the speed that the estimator assumed: som2011 takes a constant one, whatever it was."""
+    """Window with the speed that the estimator assumed, constant for som2011."""
     if estimate.settings is None or estimate.settings.speed_model != "constant":
         return window
     return replace(window, speed=constant_speed(estimate.complete["speed"], window.speed.std))
 
 
 def _foreseeable(shown: Window, used: Window, estimate: Estimate) -> Window:
-    """The prolonged window as far as its speed is known: a polynomial means nothing far from its samples."""
+    """Extended window up to the time where its speed curve leaves the range of validity."""
     values = estimate.complete
     if "rolling_resistance" in values:
         start = values.get("speed", used.start_speed)
         speed = start - values["rolling_resistance"] * coasting_loss(used.bicycle) * shown.time
-        low, high = SLOWEST_SHARE * start, np.inf
+        low, high = MIN_SPEED_RATIO * start, np.inf
     else:
         speed, inside = used.speed.at(shown.time), used.speed.at(used.time)
-        low, high = (1.0 - STRETCH) * inside.min(), (1.0 + STRETCH) * inside.max()
+        low, high = (1.0 - SPEED_MARGIN) * inside.min(), (1.0 + SPEED_MARGIN) * inside.max()
     beyond = np.flatnonzero(((speed < low) | (speed > high)) & (shown.time > used.time[-1]))
     if (used.speed.constant and "rolling_resistance" not in values) or not len(beyond):
         return shown
@@ -147,11 +147,11 @@ def _foreseeable(shown: Window, used: Window, estimate: Estimate) -> Window:
 def _before(fit: RecordingFit, strike: StrikeFit) -> tuple[Array, Array]:
     """Times (n,) [s] and both channels (n, 2) just before the free response.
 
-    The bicycle is upright enough there to take the gyroscopes as they are.
+    The bicycle is nearly upright there, so the gyroscopes measure lean and yaw rate directly.
     """
     imu = fit.recording.imu
     rows = np.flatnonzero(
-        (imu.time_ns >= strike.start_ns - round(BEFORE * 1e9)) & (imu.time_ns < strike.strike.time_ns)
+        (imu.time_ns >= strike.start_ns - round(SHOWN_BEFORE_S * 1e9)) & (imu.time_ns < strike.strike.time_ns)
     )
     rates = imu_to_rear_frame(imu.angular_velocity[rows], orientation_of(fit.recording.run_info))
     return (imu.time_ns[rows] - strike.start_ns) / 1e9, rates[:, [0, 2]]

@@ -1,7 +1,7 @@
-"""Measured and predicted lean and yaw rate after a strike, in the arrangement of Figure 3B.
+"""Figure of measured and predicted lean and yaw rate after a strike, as Figure 3B.
 
-The supplement of Kooijman et al. 2011 (doi 10.1126/science.1201959) says what that figure shows: measured and
-simulated lean rate and yaw rate of the rear frame. The measurement here is always the recording at hand.
+The figure of Kooijman et al. 2011 (doi 10.1126/science.1201959) compares measured and simulated lean rate and
+yaw rate of the rear frame. Here the measurements are those of the recording.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from tms_fit.comparison import AFTER, BEFORE, Comparison, comparison, source_of
+from tms_fit.comparison import SHOWN_AFTER_S, SHOWN_BEFORE_S, Comparison, comparison, source_of
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.rounding import decimals, fixed
 
@@ -21,7 +21,7 @@ MEASURED, PREDICTED = "#555555", "#0072B2"
 
 
 def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
-    """The figure for strike `number`, counted from 1. Raises RecordingError if it was not fitted."""
+    """Figure for strike `number`, counted from 1. Raises RecordingError if it was not fitted."""
     both = comparison(fit, number)
     figure = Figure(figsize=(7.0, 5.2), layout=ConstrainedLayoutEngine(rect=LEGEND_BELOW))
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -32,7 +32,7 @@ def figure_3b(fit: RecordingFit, number: int = 1) -> Figure:
     figure.legend(handles, labels, loc="lower center", ncol=5, fontsize=9, columnspacing=1.2, frameon=False)
     lower.set(
         xlabel="time since the start of the free response [s]",
-        xlim=(-BEFORE, min(float(both.time[-1]), AFTER)),
+        xlim=(-SHOWN_BEFORE_S, min(float(both.time[-1]), SHOWN_AFTER_S)),
     )
     upper.set_title(_title(fit, both, number), fontsize=10)
     return figure
@@ -53,7 +53,8 @@ def _draw_channel(axes: Axes, both: Comparison, channel: int, source: str) -> No
     axes.axhline(0.0, color="black", lw=0.5)
     axes.axvline(0.0, color="black", lw=0.8, ls="--")
     if not np.isfinite(both.measured[:, channel]).any():
-        _say_absent(axes)
+        text = "not measured in this recording"
+        axes.text(0.5, 0.9, text, transform=axes.transAxes, ha="center", va="top", style="italic")
 
 
 def _title(fit: RecordingFit, both: Comparison, number: int) -> str:
@@ -67,15 +68,3 @@ def _title(fit: RecordingFit, both: Comparison, number: int) -> str:
         text += f"\ninitial lean rate {value} ± {half} rad/s"
         text += f" (95 %, {estimate.estimator.replace('_', ' ')})"
     return text
-
-
-def _say_absent(axes: Axes) -> None:
-    axes.text(
-        0.5,
-        0.9,
-        "not measured in this recording",
-        transform=axes.transAxes,
-        ha="center",
-        va="top",
-        style="italic",
-    )

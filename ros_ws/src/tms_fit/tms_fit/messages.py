@@ -1,4 +1,4 @@
-"""Estimates and filter states as messages: the one place of this package that knows their fields."""
+"""Conversion of estimates and filter states to messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FILTER_STATE = (
 
 
 def estimate_records(fit: StrikeFit) -> list[Record]:
-    """One record per estimator on the topic `estimate`, stamped with the start of the free response."""
+    """Records, one per estimator, on the topic `estimate`, stamped with the start of the free response."""
     return [
         Record(f"/{ESTIMATE}", ESTIMATE_TYPE, fit.start_ns, serialize(estimate_message(fit, one)))
         for one in fit.estimates
@@ -30,7 +30,7 @@ def estimate_records(fit: StrikeFit) -> list[Record]:
 
 
 def filter_state_record(step: FilterStep) -> Record:
-    """A record on the topic `filter_state`."""
+    """Record of a filter step on the topic `filter_state`."""
     numbers = (
         *step.state.tolist(),
         *step.covariance.ravel().tolist(),
@@ -46,7 +46,7 @@ def filter_state_record(step: FilterStep) -> Record:
 
 
 def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
-    """A tms_msgs/Estimate."""
+    """Message tms_msgs/Estimate of a strike's estimate."""
     key_value = message_type("diagnostic_msgs/msg/KeyValue")
     diagnostics = {
         "residual_std": estimate.residual_std,

@@ -1,4 +1,4 @@
-"""The answer of `fit run`, as JSON that other tools rely on and as a table for the terminal."""
+"""Fits of a recording as a JSON document and as a table for the terminal."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from tms_fit.strikes.thresholds import StrikeThresholds
 
 
 def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
-    """The document promised in docs/conventions.md; SI units and radians, SAE signs.
+    """Document of docs/conventions.md; SI units and radians, SAE signs.
 
-    asked: what else is wanted of each strike: hypotheses, budget.
+    asked: further diagnostics of each strike: hypotheses, budget.
     """
     start_ns = first_stamp(fit.recording)
     stated = stated_noise(fit.recording, fit.settings)
@@ -61,7 +61,7 @@ def _strike(
 
 
 def _detection(strike: Strike) -> dict[str, Any]:
-    """Why there is a strike, in words and figures."""
+    """Evidence of the detector for a strike, in words and numbers."""
     return {
         "kind": strike.kind,
         "why": strike.why,
@@ -100,12 +100,12 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 
 
 def _end(value: float) -> float | None:
-    """An end of an interval; None: it is open there."""
+    """End of an interval; None where it is open."""
     return float(value) if math.isfinite(value) else None
 
 
 def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
-    """One line per strike and estimator, why each is a strike, what speaks against the model."""
+    """Table with one line per strike and estimator, reasons of detection, and signs of misspecification."""
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
     lines += [f"warning: {warning}" for warning in fit.recording.warnings]
     if fit.strikes:
@@ -136,7 +136,7 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
         )
         lines.extend(f"{when:10.4f} {line}" for line in found)
     if any(one.misspecification for one in fit.strikes):
-        lines.append("? doubtful, as told above: no interval covers a wrong model")
+        lines.append("? see the warning above: the model may be misspecified and the interval too narrow")
     if any(line.removesuffix(" ?").endswith(" *") for line in lines):
         lines.append("* the residuals are not white: the interval is too narrow (docs/conventions.md)")
     if not fit.strikes:
@@ -146,7 +146,7 @@ def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
 
 
 def _reasons(fit: RecordingFit) -> list[str]:
-    """Why each strike is one, and how many changes were none."""
+    """Reasons of each strike and its window end, and the number of rejected changes."""
     first = first_stamp(fit.recording)
     lines = [
         f"{(one.start_ns - first) / 1e9:10.4f} {one.strike.kind}: {one.strike.why}" for one in fit.strikes
@@ -165,7 +165,7 @@ def _reasons(fit: RecordingFit) -> list[str]:
 
 
 def _others(estimate: Estimate) -> str:
-    """What was found beside the initial lean rate, with standard errors."""
+    """Estimated parameters beside the initial lean rate, with standard errors."""
     found = {name: estimate[name] for name in estimate if name != "initial_lean_rate"}
     return ", ".join(f"{name} {one.value:.4g} +- {one.std:.2g}" for name, one in found.items())
 

@@ -1,6 +1,6 @@
 """Settings of a fit: one table of options for command line, ROS parameters, JSON and reference page.
 
-A new option is one row of `Settings`. The table loads neither numpy nor the bicycle: `--help` needs it.
+A new option is one row of `Settings`. The module imports neither numpy nor the bicycle, for a fast `--help`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Option:
     high: float = math.inf  # largest number allowed
     positive: bool = False  # whether a number must be larger than zero
     choices: tuple[str, ...] = ()  # names allowed
-    unset: str = ""  # what holds where the option isn't given and has no default value
+    unset: str = ""  # meaning of an option that is not given and has no default value
     metavar: str = ""  # on the command line
     flag: str = ""  # on the command line; empty: not offered there
     repeated: bool = False  # whether the command line takes one name each time
@@ -39,7 +39,7 @@ class Option:
 
     @property
     def text(self) -> str:
-        """Description in one line, with the unit and the choices."""
+        """Description in one line, with unit and choices."""
         listed = self.choices and self.kind not in ("values", "priors")
         lead = "; one of " if self.kind == "choice" else ": "
         one_of = f"{lead}{', '.join(self.choices)}" if listed else ""
@@ -47,7 +47,7 @@ class Option:
 
     @property
     def limits(self) -> str:
-        """The range of a number in words, empty where there is none."""
+        """Range of a number in words, empty without limits."""
         if self.positive:
             return f"a positive number of {self.unit}, at most {self.high:g}"
         return f"{self.low:g} to {self.high:g} {self.unit}" if math.isfinite(self.high) else ""
@@ -80,7 +80,7 @@ def option(
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a fit; a default stands here and nowhere else.
+    """Settings of a fit, the only definition of its defaults.
 
     Raises ParameterError for unknown names, a parameter both free and fixed, a prior on one that is not free,
     numbers out of range.
@@ -220,12 +220,12 @@ class Settings:
 
     @property
     def stated_speed(self) -> float:
-        """The speed [m/s] that is fixed, else what is known of it beforehand; NaN: neither."""
+        """Fixed speed [m/s], else the mean of its prior; NaN without either."""
         mean, _ = self.priors.get("speed", (math.nan, math.nan))
         return self.fixed.get("speed", mean)
 
     def as_json(self) -> dict[str, Any]:
-        """All settings by name, as JSON has them: SI units, lists in place of tuples."""
+        """All settings by name as JSON values: SI units, lists in place of tuples."""
         return {name: _plain(getattr(self, name)) for name in OPTIONS}
 
     def __post_init__(self) -> None:
@@ -244,7 +244,7 @@ class Settings:
         self._check_oscillator()
 
     def _check_fixed(self) -> None:
-        """A fixed value is finite, a speed positive, a friction not negative."""
+        """Check that fixed values are finite, a speed positive, a friction not negative."""
         for name, value in self.fixed.items():
             if not math.isfinite(value) or (name == "speed" and value <= 0.0):
                 wanted = "a positive number of m/s" if name == "speed" else "a finite number"
@@ -253,7 +253,7 @@ class Settings:
             raise ParameterError(f"{FRICTION}: expected 0 N m or more, found {self.fixed[FRICTION]:g}")
 
     def _check_saturation(self) -> None:
-        """Censoring needs white noise, squares, and intervals by them."""
+        """Check that censoring goes with white noise, squared loss and Wald intervals."""
         coloured = self.noise not in ("auto", "white")
         if self.saturation == "censor" and (coloured or self.loss not in ("auto", "squares")):
             raise ParameterError(
@@ -266,7 +266,7 @@ class Settings:
             )
 
     def _check_oscillator(self) -> None:
-        """One to three positive numbers are known of the oscillation, where that noise may be chosen."""
+        """Check that an oscillator has one to three positive numbers, and a noise model that uses them."""
         if not self.oscillator:
             return
         if self.noise not in ("auto", "oscillator"):
@@ -279,7 +279,7 @@ class Settings:
             )
 
     def _check_free(self) -> None:
-        """What is free, fixed and known beforehand must go together."""
+        """Check that free parameters, fixed values and priors are consistent."""
         if self.free is not None and not self.free:
             raise ParameterError(f"free: expected at least one of {', '.join(PARAMETERS)}, found none")
         twice = [name for name in self.free or () if (self.free or ()).count(name) > 1]
@@ -301,7 +301,7 @@ class Settings:
 
 
 def _rows() -> dict[str, Option]:
-    """The table, from the fields of Settings."""
+    """Table of options by name, from the fields of Settings."""
     table = {}
     for one in fields(Settings):
         row = {"flag": f"--{one.name.replace('_', '-')}", "parameter": one.name, **one.metadata}

@@ -1,4 +1,4 @@
-"""The estimators by name. A new one: one file here and one line below.
+"""Estimators by name. A new one: one file here and one line below.
 
 Each is a function (window, settings) -> Estimate.
 """

@@ -1,8 +1,8 @@
-"""Kalman filter over the free response, smoothed back to the strike (Rauch, Tung and Striebel).
+"""Kalman filter and Rauch-Tung-Striebel smoother of the free response.
 
-The state is lean, steer, lean rate, steer rate and the biases of both channels. By default nothing disturbs
-the bicycle after the strike: without process noise the smoothed initial state is the least-squares estimate
-under white noise, found in another way (`tms_fit.kalman.rts`).
+The state is lean, steer, lean rate, steer rate and the biases of both channels. By default there is no
+process noise; the smoothed initial state then equals the least-squares estimate under white noise
+(`tms_fit.kalman.rts`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 NAMES = (*INITIAL, *BIASES)  # of the state
-PRIOR_WIDTH = 10.0  # prior standard deviation of a free state, per standard error that the data give
+PRIOR_WIDTH = 10.0  # prior standard deviation of a free state, relative to its standard error
 NO_NOISE = (0.0, 0.0)
 
 
@@ -73,9 +73,9 @@ def smooth_problem(
 ) -> tuple[Array, Array]:
     """Smoothed values (p,) of a problem's linear parameters, and their covariance (p, p) per `noise_std`^2.
 
-    rough: (p, p), about that covariance; the filter's prior is PRIOR_WIDTH times as wide and is taken out
-    exactly at the end. noise_std [rad/s]: of the measurement, without effect where there is no process noise:
-    values do not depend on it then and their covariance is proportional to its square.
+    rough: approximate covariance (p, p); the filter's prior is PRIOR_WIDTH times as wide and is removed
+    exactly at the end. noise_std [rad/s]: of the measurements; without process noise the values do not depend
+    on it and the covariance is proportional to its square.
     """
     std = dict(zip(problem.linear, PRIOR_WIDTH * np.sqrt(np.diag(rough)), strict=True))
     density = (0.0, 0.0)
@@ -93,8 +93,9 @@ def window_space(
 ) -> tuple[StateSpace, Array]:
     """State space of a window for unit measurement noise, and the rates (n, 2) [rad/s] beside it.
 
-    Those are by the known torque and a fixed slip. std: of the initial states and biases by name, others are
-    known. acceleration_noise: densities of lean and steer [rad/s^2/sqrt(Hz)], per rad/s of measurement noise.
+    The rates are those due to the known torque and a fixed slip. std: of the initial states and biases by
+    name, others are known. acceleration_noise: densities of lean and steer [rad/s^2/sqrt(Hz)], per rad/s of
+    measurement noise.
     """
     window, values = problem.window, shaping(problem.known)
     moved = discretize(window, values)
@@ -122,7 +123,7 @@ def window_space(
 def _process_noise(
     window: Window, values: dict[str, float], moved: Transitions, density: tuple[float, float]
 ) -> Array:
-    """Covariance (n, 4, 4) of the disturbance up to each sample, at the speed of the step's middle."""
+    """Process noise covariance (n, 4, 4) of the step to each sample, at the speed of its middle."""
     values = {**known_values(window), **values}
     bicycle = as_ridden(window.bicycle, values["lean_rate_gain"], values["steer_damper"])
     cache = TransitionCache(bicycle, np.diag(np.square([0.0, 0.0, *density])))
@@ -141,7 +142,7 @@ def _is_smoothable(choice: ModelSpec, settings: Settings) -> bool:
 
 
 def _smoothed(squares: Estimate, problem: Problem, values: Array, difference: Array) -> Estimate:
-    """Estimate with the smoother's values; difference: of their covariance to least squares', unit noise."""
+    """Estimate with the smoother's values; difference: smoother less least-squares covariance, unit noise."""
     count = len(problem.linear)
     covariance = squares.covariance.copy()
     covariance[:count, :count] += squares.noise["noise_std"] ** 2 * difference
@@ -161,7 +162,7 @@ def _smoothed(squares: Estimate, problem: Problem, values: Array, difference: Ar
 
 
 def _inverse(jacobian: Array, window: Window) -> Array:
-    """Covariance (p, p) for unit noise by derivatives (n, 2, p) of the channels."""
+    """Covariance (p, p) under unit noise from derivatives (n, 2, p) of the channels."""
     rows = jacobian[np.isfinite(window.measured)]
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / scale
@@ -170,5 +171,5 @@ def _inverse(jacobian: Array, window: Window) -> Array:
 
 
 def _sensor_turn(pitch: float) -> Array:
-    """Rates (2, 2) measured by a sensor pitched nose up by an angle [rad], per lean rate and yaw rate."""
+    """Rotation (2, 2) from lean and yaw rate to the rates of a sensor pitched nose up by an angle [rad]."""
     return np.array([[np.cos(pitch), -np.sin(pitch)], [np.sin(pitch), np.cos(pitch)]])

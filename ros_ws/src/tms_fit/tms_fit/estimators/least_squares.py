@@ -1,7 +1,7 @@
-"""Least squares of a free response, by variable projection.
+"""Least-squares estimator of a free response by variable projection, with model selection.
 
-The response of Eq. (3.1) is linear in the initial states and the biases; speed, rolling resistance, the
-strike's instant, a feedback gain and the sensor's pitch shape it.
+The response of Eq. (3.1) is linear in the initial states and the biases, and nonlinear in speed, rolling
+resistance, strike time, feedback gain and mounting pitch of the sensor.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from tms_fit.settings import Settings
 from tms_fit.window import Window
 
 LEAN_RATE = "initial_lean_rate"
-ROUNDING_STD_S = 1e-9 / math.sqrt(12.0)  # [s], deviation of an instant that is a whole nanosecond
+ROUNDING_STD_S = 1e-9 / math.sqrt(12.0)  # of a time rounded to whole nanoseconds
 GRID_SIZE = 401  # points of the truncated distribution
-BIC_MARGIN = 20.0  # decrease of BIC from which on a parameter is freed without being asked for
+BIC_MARGIN = 20.0  # decrease of BIC required to free a parameter by default
 
 
 def fit_window(window: Window, settings: Settings) -> Estimate:
-    """Best-fitting free parameters of a window; the message says what `settings` left open.
+    """Estimate of the free parameters of a window; its message names the selections of the model.
 
-    No recording makes it raise: an estimate that can't be given has another status than ok.
+    No recording makes it raise: an estimate without values has another status than ok.
     """
     model, estimate = select_model(window, settings)
     return in_order(estimate, model.free)
 
 
 def select_model(window: Window, settings: Settings) -> tuple[ModelSpec, Estimate]:
-    """The model, selected by evidence where `settings` leave it open, and its estimate."""
+    """Model, selected by evidence where `settings` leave it open, and its estimate."""
     model = specify_model(window, settings)
     if model.coasting:
         return _select_coasting(model, settings)
@@ -59,10 +59,10 @@ def select_model(window: Window, settings: Settings) -> tuple[ModelSpec, Estimat
 
 
 def _select_coasting(model: ModelSpec, settings: Settings) -> tuple[ModelSpec, Estimate]:
-    """The model and its estimate where the rolling resistance is freed without being asked for.
+    """Model and its estimate where the rolling resistance is freed by default.
 
-    Start models are compared at the resistance that each has under white noise: with autoregressive noise
-    free as well, the minimisation converges slowly for a wrong start model.
+    Models of the initial state are compared at the resistance that each has under white noise: with free
+    autoregressive noise the minimisation converges slowly for a wrong model.
     """
     narrow = fit_model("least_squares", replace(model, noise="white"), settings)
     found = model
@@ -88,10 +88,10 @@ def _select_coasting(model: ModelSpec, settings: Settings) -> tuple[ModelSpec, E
 def _select_disturbed_start(
     model: ModelSpec, estimate: Estimate, settings: Settings
 ) -> tuple[ModelSpec, Estimate]:
-    """A model whose start is not upright and straight, where BIC is clearly lower with it.
+    """Model with a disturbed initial state where it clearly lowers BIC, else the given one, and its estimate.
 
-    All models are compared under autoregressive noise, which the smallest might need as well. The largest
-    must first win under white noise, which is quickly computed and favours it.
+    All models are compared under autoregressive noise, which the smallest model may require. The largest must
+    first win under white noise, which is fast to compute and favours it.
     """
     rivals = with_disturbed_start(model, settings)
     if not rivals or not _bic(rivals[-1], "white", settings) < _bic(model, "white", settings) - BIC_MARGIN:
@@ -111,10 +111,10 @@ def _select_disturbed_start(
 
 
 def _with_alternative(estimate: Estimate, why: str, other: Estimate) -> Estimate:
-    """The estimate, with the initial lean rate of the other model beside the reason of the selection."""
-    if other.status != "ok" or LEAN_RATE not in other.names:
+    """Estimate with the initial lean rate of the other model added to the reason of the selection."""
+    if other.status != "ok" or LEAN_RATE not in other:
         return estimate
-    text = f"{why}; else the initial lean rate would be {other.parameters[LEAN_RATE]:+.3f} rad/s"
+    text = f"{why}; else the initial lean rate would be {other[LEAN_RATE].value:+.3f} rad/s"
     return replace(estimate, chosen=tuple(text if one == why else one for one in estimate.chosen))
 
 
@@ -125,7 +125,7 @@ def _bic(model: ModelSpec, noise: str, settings: Settings) -> float:
 
 
 def fit_model(name: str, model: ModelSpec, settings: Settings) -> Estimate:
-    """The estimate of a model, under an estimator's name."""
+    """Estimate of a model, under an estimator's name."""
     reason = too_short(model.problem)
     if reason:
         return Estimate(name, Status.TOO_SHORT, reason, settings=settings)
@@ -134,11 +134,11 @@ def fit_model(name: str, model: ModelSpec, settings: Settings) -> Estimate:
 
 
 def refine_start(window: Window, settings: Settings, longest_delay: float) -> Window:
-    """The window with the strike's instant between two samples estimated.
+    """Window with the strike time between two samples estimated.
 
-    The delay [s] lies between 0 and `longest_delay`, anywhere with the same probability before the response
-    is seen. It is estimated with the free parameters that the response needs: an upright and straight start
-    and another one differ most in the first samples, so that the wrong start model biases the strike time.
+    The delay [s] has a uniform prior between 0 and `longest_delay`. It is estimated with the free parameters
+    of the selected model: models of the initial state differ most in the first samples, so a wrong one biases
+    the strike time.
     """
     window = replace(window, longest_delay=longest_delay)
     first = specify_model(window, settings)
@@ -148,17 +148,17 @@ def refine_start(window: Window, settings: Settings, longest_delay: float) -> Wi
 
 
 def _with_strike_time(window: Window, model: ModelSpec, settings: Settings) -> Window:
-    """The window with mean and standard deviation of the strike time, given the response.
+    """Window with posterior mean and standard deviation of the strike time.
 
-    Least squares gives a normal distribution, truncated at the two samples: near one of them its peak and
-    width are not the mean and standard deviation.
+    The posterior is a normal distribution, truncated at the two samples: near a sample its mode and width are
+    not the mean and standard deviation.
     """
     problem, longest = model.problem, window.longest_delay
     if "strike_time" in {*problem.names, *problem.known} or too_short(problem):
         return window
     joint = replace(problem, nonlinear=(*problem.nonlinear, "strike_time"))
     solution = fit_problem(joint, model.noise, Loss(settings.loss), settings.oscillator).solution
-    mean, std = 0.5 * longest, longest / math.sqrt(12.0)  # as without information in the response
+    mean, std = 0.5 * longest, longest / math.sqrt(12.0)  # uniform: without information in the response
     if solution.status == "ok":
         beyond = solution.of_rows[-1] @ solution.jacobian.T @ solution.rows  # not 0 at an end
         peak, spread = -float(solution.values[-1] + beyond), math.sqrt(float(solution.inverse[-1, -1]))

@@ -1,4 +1,4 @@
-"""The fit of the supplement, chapter 10: the initial lean rate from the lean rate alone, constant speed."""
+"""Estimator of the supplement, chapter 10: initial lean rate from the lean rate, at constant speed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tms_fit.speed_profile import constant_speed
 from tms_fit.window import Window
 
 FREE = ("initial_lean_rate",)
-TAKEN = (
+ASSUMPTIONS = (
     "a start upright and straight, a level and unbiased sensor, a constant speed and white noise are taken"
     " for true, so that the interval is too short where they aren't"
 )
 
 
 def estimate(window: Window, settings: Settings) -> Estimate:
-    """Initial lean rate from the lean rate; lean, steer, steer rate start at zero, whatever is asked for."""
+    """Estimate of the initial lean rate; lean, steer and steer rate start at zero for any settings."""
     curve = window.speed
     middle = curve.origin if curve.extrapolated or not len(window.time) else 0.5 * float(window.time[-1])
     constant = replace(window, speed=constant_speed(float(curve.at(middle)), curve.std))
@@ -37,8 +37,8 @@ def estimate(window: Window, settings: Settings) -> Estimate:
         oscillator=(),
         loss="squares",
     )
-    answer = fit_model("som2011", specify_model(constant, plain), plain)
-    if answer.status != "ok":
-        return answer
-    words = answer.message.replace("linear least squares", "least squares as in 2011")
-    return replace(answer, message=f"{words}; {TAKEN}")
+    found = fit_model("som2011", specify_model(constant, plain), plain)
+    if found.status != "ok":
+        return found
+    words = found.message.replace("linear least squares", "least squares as in 2011")
+    return replace(found, message=f"{words}; {ASSUMPTIONS}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tms_fit.comparison import BEFORE, Comparison
+from tms_fit.comparison import SHOWN_BEFORE_S, Comparison
 from tms_fit.report.element import Element, element
 
 
@@ -12,7 +12,7 @@ def animation(section: str, both: Comparison, with_truth: bool) -> Element:
     slider = element(
         "input",
         type="range",
-        min=f"{-BEFORE:g}",
+        min=f"{-SHOWN_BEFORE_S:g}",
         max=f"{last:.3f}",
         step="0.01",
         value="0",

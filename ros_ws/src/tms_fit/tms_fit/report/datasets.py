@@ -14,7 +14,7 @@ from tms_bag.samples import StateSamples
 from tms_model import Bicycle, Stability, follow_modes
 from tms_model.bicycle import Array
 
-from tms_fit.comparison import BEFORE, Comparison
+from tms_fit.comparison import SHOWN_BEFORE_S, Comparison
 from tms_fit.parameters import CHANNELS
 from tms_fit.recording_fit import RecordingFit
 from tms_fit.report.chart import Columns
@@ -58,7 +58,7 @@ def window(both: Comparison) -> Columns:
 def truth(state: StateSamples, start_ns: int, last: float) -> Columns:
     """True rates and speed of a simulated bicycle around a strike."""
     seconds = (state.time_ns - start_ns) / 1e9
-    rows = np.flatnonzero((seconds >= -BEFORE) & (seconds <= last))
+    rows = np.flatnonzero((seconds >= -SHOWN_BEFORE_S) & (seconds <= last))
     return {
         "time": column(seconds[rows]),
         "lean_rate": column(state.state[rows, 2]),
@@ -71,7 +71,9 @@ def slips(state: StateSamples, start_ns: int, last: float) -> Columns:
     """Stretches in which a contact of a simulated bicycle slips, around a strike."""
     seconds = (state.time_ns - start_ns) / 1e9
     slip = np.nan_to_num(np.abs(np.stack([state.rear_slip, state.front_slip]))).max(axis=0)
-    sliding = np.concatenate([[False], (slip > SLIDING) & (seconds >= -BEFORE) & (seconds <= last), [False]])
+    sliding = np.concatenate(
+        [[False], (slip > SLIDING) & (seconds >= -SHOWN_BEFORE_S) & (seconds <= last), [False]]
+    )
     edges = np.diff(sliding.astype(int))
     firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
@@ -83,7 +85,7 @@ def speed_samples(fit: RecordingFit, start_ns: int, last: float) -> Columns | No
     if fit.recording.speed is None:
         return None
     seconds = (fit.recording.speed.time_ns - start_ns) / 1e9
-    rows = np.flatnonzero((seconds >= -BEFORE) & (seconds <= last))
+    rows = np.flatnonzero((seconds >= -SHOWN_BEFORE_S) & (seconds <= last))
     return {"time": column(seconds[rows]), "speed": column(fit.recording.speed.speed[rows])}
 
 
