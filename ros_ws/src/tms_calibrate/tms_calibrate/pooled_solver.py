@@ -116,18 +116,6 @@ def _start(window: Window, name: str) -> float:
     return start_value(window, name)
 
 
-def _with_priors(problem: PooledProblem, names: tuple[str, ...], block: Block, values: Array) -> Block:
-    """Rows of a run, followed by one row for each prior on its own unknowns."""
-    rows, off = problem.prior_rows(names, values)
-    if not len(off):
-        return block
-    return Block(
-        np.concatenate([block.own, rows]),
-        np.concatenate([block.shared, np.zeros((len(off), block.shared.shape[1]))]),
-        np.concatenate([block.target, off]),
-    )
-
-
 def block_of(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Block:
     """Jacobian and residuals of a run at given values, in units of the problem's noise, with its priors."""
     found = linearised_run(problem, run, shared, own)
@@ -136,7 +124,7 @@ def block_of(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Blo
         run.select(found.shared) / problem.noise,
         run.select(found.residual) / problem.noise,
     )
-    return _with_priors(problem, run.names, block, own)
+    return block.with_rows(*problem.prior_rows(run.names, own))
 
 
 def linearised_run(problem: PooledProblem, run: Run, shared: Array, own: Array) -> Linearised:

@@ -27,6 +27,16 @@ class Block:
     shared: Array  # S (m, s)
     target: Array  # r (m,)
 
+    def with_rows(self, own: Array, target: Array) -> Block:
+        """Block with further rows (k, q) and targets (k,) that depend on its own unknowns only."""
+        if not len(target):
+            return self
+        return Block(
+            np.concatenate([self.own, own]),
+            np.concatenate([self.shared, np.zeros((len(target), self.shared.shape[1]))]),
+            np.concatenate([self.target, target]),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BlockArrowheadSolution:

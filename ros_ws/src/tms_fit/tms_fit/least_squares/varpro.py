@@ -197,7 +197,7 @@ class _Minimiser:
         rows = []
         for block, values in zip(self.blocks, own, strict=True):
             prior, wanted = block.own.prior_rows(slice(block.own.linear))
-            rows.append(_with_rows(block.linear(np.concatenate([values, common])), prior, wanted))
+            rows.append(block.linear(np.concatenate([values, common])).with_rows(prior, wanted))
         prior, wanted = self.shared.prior_rows(slice(self.shared.linear))
         factors = factorize(rows, prior)
         if factors is None:
@@ -253,7 +253,7 @@ class _Minimiser:
         )
         prior, wanted = own.prior_rows(slice(own.linear, None))
         on_linear = np.zeros((len(prior), own.linear))
-        return _with_rows(whole, np.concatenate([on_linear, prior], axis=1), wanted - prior @ nonlinear)
+        return whole.with_rows(np.concatenate([on_linear, prior], axis=1), wanted - prior @ nonlinear)
 
     def minimise(self, point: _Point, tolerance: float) -> tuple[_Point, bool, int]:
         """Best point, whether it is a minimum, and the number of evaluations.
@@ -314,14 +314,3 @@ class _Minimiser:
             max_nfev=MAX_EVALUATIONS,
         )
         return best, found.status > 0, int(found.nfev)
-
-
-def _with_rows(block: Block, own: Array, target: Array) -> Block:
-    """A block with further rows that depend on its own unknowns only."""
-    if not len(target):
-        return block
-    return Block(
-        np.concatenate([block.own, own]),
-        np.concatenate([block.shared, np.zeros((len(target), block.shared.shape[1]))]),
-        np.concatenate([block.target, target]),
-    )
