@@ -32,7 +32,7 @@ def recording_from_arrays(
     time : array_like (n,)
         Ascending times [s]. Stamps are these times since 1970, to the nanosecond.
     angular_velocity : array_like (n, 3)
-        Angular velocity [rad/s] in the sensor's axes (REP-103), NaN: not measured.
+        Angular velocity [rad/s] in the sensor's axes (REP-103), not finite: not measured.
     speed : float or (times, values)
         Forward speed [m/s]: a number for the whole run, or times (m,) [s] and speeds (m,).
     orientation : array_like (4,), optional

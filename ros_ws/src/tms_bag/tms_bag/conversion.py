@@ -3,7 +3,8 @@
 A live node, a replayed bag and an offline run all go through these functions. Topics are written with a
 leading slash. Variances stand on the diagonals of the covariances; 0 says "unknown" there (REP-145),
 so that a variance of exactly 0 comes back as NaN. `imu/data_raw` says by orientation_covariance[0] = -1
-that it has no orientation; samples with one go to `imu/data`.
+that it has no orientation; samples with one go to `imu/data`. A number that is not finite, or too large for
+any unit, is read as NaN.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from tms_bag.samples import (
 )
 
 Vector: TypeAlias = tuple[float, float, float]
+NUMBER_LIMIT = 1e100  # a larger one is no measurement in any unit, and sums of its square overflow
 LAST_STAMP_NS = 2**31 * 10**9  # builtin_interfaces/Time counts seconds in an int32
 Messages: TypeAlias = "Iterable[Record] | Columns"  # of one topic, as they come or read as arrays
 
@@ -323,7 +325,9 @@ def _records(topic: str, time_ns: IntArray, table: Table) -> Iterator[Record]:
 def _reading(topic: str, names: tuple[str, ...], record: Record) -> tuple[Any, ...]:
     """Stamp [ns] and some numbers of one message. RecordingError if it isn't one of this topic's."""
     try:
-        return read_numbers(topics.TYPES[topic], names, record.data)
+        time_ns, *numbers = read_numbers(topics.TYPES[topic], names, record.data)
+        low, high = -NUMBER_LIMIT, NUMBER_LIMIT
+        return time_ns, *[number if low < number < high else math.nan for number in numbers]
     except MessageError as error:
         raise RecordingError(f"{record.topic} at {record.time_ns} ns: {error}") from error
 
@@ -364,7 +368,7 @@ def _vectors(table: Columns, name: str) -> FloatArray:
 
 
 def _column(table: Columns, name: str, shape: tuple[int, ...] = ()) -> FloatArray:
-    """A number of each message; NaN where an older version of the type doesn't have it."""
+    """A number of each message; NaN where it is none, or an older version of the type doesn't have it."""
     if name not in table:
         return np.full((len(table), *shape), np.nan)
     if table[name].shape[1:] != shape:
@@ -373,12 +377,14 @@ def _column(table: Columns, name: str, shape: tuple[int, ...] = ()) -> FloatArra
             f" {table[name].shape[1:]}:"
             " the bag defines this type otherwise"
         )
-    return np.array(table[name], dtype=np.float64)
+    values = np.asarray(table[name], dtype=np.float64)
+    return np.where(np.abs(values) < NUMBER_LIMIT, values, np.nan)
 
 
 def _flags(table: Columns, name: str) -> NDArray[np.uint8]:
-    """A number from 0 to 255 of each message; 0 where an older version of the type doesn't have it."""
-    return np.asarray(np.clip(np.nan_to_num(_column(table, name)), 0, 255).astype(np.uint8))
+    """A number from 0 to 255 of each message; 0 where it is another one, or an older type doesn't have it."""
+    found = _column(table, name)
+    return np.where((found >= 0.0) & (found <= 255.0), found, 0.0).astype(np.uint8)
 
 
 def _covariance(variance: FloatArray) -> FloatArray:

@@ -127,7 +127,8 @@ def fit(
         Ascending times [s].
     angular_velocity : array_like (n, 3)
         Angular velocity [rad/s] in REP-103 axes of the rear frame (x forward, y left, z up), or of the sensor
-        where `orientation` is given. NaN: not measured.
+        where `orientation` is given. Not finite, or beyond
+        1000 rad/s: not measured.
     speed : float or (times, values)
         Forward speed [m/s]: a constant that is known, or times (m,) [s] and speeds (m,). A number is only
         the first guess where `free` or `priors` hold the speed.

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tms_bag import Recording, RecordingError
+from tms_bag.reading_limits import without_impossible
 from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
@@ -59,6 +60,7 @@ def fit_recording(
     samples; ParameterError for an unknown estimator.
     """
     check_names(settings.estimators)
+    recording = without_impossible(recording)
     _check_measurements(recording, settings)
     bicycle = bicycle_of(recording) if bicycle is None else bicycle
     samples = synchronize(recording, settings, progress)
@@ -75,6 +77,7 @@ def find_strikes(
     strike_times: Iterable[float] = (),
 ) -> tuple[tuple[Strike, ...], tuple[Rejected, ...]]:
     """Strikes of a recording, and the changes of its lean rate that were rejected; see `fit_recording`."""
+    recording = without_impossible(recording)
     _check_measurements(recording, settings)
     bicycle = bicycle_of(recording) if bicycle is None else bicycle
     samples = synchronize(recording, settings)
@@ -171,7 +174,7 @@ def _check_measurements(recording: Recording, settings: Settings) -> None:
             " if the sign or the topic is wrong, use --speed-topic NAME or --fix speed=V"
         )
     if not np.isfinite(recording.imu.angular_velocity).any():
-        raise RecordingError(f"{path}: expected gyroscope readings in the IMU topic, found only NaN")
+        raise RecordingError(f"{path}: expected gyroscope readings in the IMU topic, found no finite ones")
 
 
 def _stamps(recording: Recording, strike_times: Iterable[float]) -> tuple[int, ...]:

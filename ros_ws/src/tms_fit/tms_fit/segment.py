@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from tms_bag.reading_limits import SPEED_LIMIT, measured
 from tms_bag.samples import IntArray
 from tms_model import Bicycle, ParameterError
 from tms_model.acceleration import coasting_loss
@@ -16,8 +17,6 @@ from tms_fit.speed_profile import SpeedProfile, constant_speed, fit_speed_profil
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.strikes.window_end import WindowEnd
 from tms_fit.window import Window, make_window
-
-SPEED_LIMIT = 1e3  # [m/s]; a larger reading is not a speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ def _speed(segment: Segment, bicycle: Bicycle, settings: Settings) -> SpeedProfi
     """The fixed speed, else the measured one, else the nominal one."""
     if "speed" in settings.fixed:
         return constant_speed(settings.fixed["speed"])
-    speed = np.where(np.abs(segment.speed) < SPEED_LIMIT, segment.speed, np.nan)
+    speed = measured(segment.speed, SPEED_LIMIT)
     if np.isfinite(speed).any():
         first_ns = segment.time_ns[0]
         return fit_speed_profile(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from tms_bag.reading_limits import RATE_LIMIT, measured
 from tms_model import Bicycle, ParameterError, load_bicycle
 from tms_model.bicycle import Array
 from tms_model.imu import lean_and_yaw_rate
@@ -77,6 +78,7 @@ class Window:
         name of the catalogue, file, or Bicycle. Raises ParameterError for shapes that don't agree.
         """
         seconds, lean, yaw = (np.array(values, dtype=float) for values in (time, lean_rate, yaw_rate))
+        lean, yaw = measured(lean, RATE_LIMIT), measured(yaw, RATE_LIMIT)
         if seconds.ndim != 1 or not seconds.size or not seconds.shape == lean.shape == yaw.shape:
             raise ParameterError(
                 "window: expected time, lean_rate and yaw_rate of one length, found shapes"

@@ -24,7 +24,8 @@ def flip_axes(vectors: Array) -> Array:
 def rotation_matrix(quaternion: Array) -> Array:
     """Rotation matrix (3, 3) of a quaternion x, y, z, w (ROS order). ParameterError unless of unit length."""
     q = np.asarray(quaternion, dtype=float)
-    if q.shape != (4,) or not abs(float(q @ q) - 1.0) < 1e-6:
+    # Components first: the square of a huge one overflows.
+    if q.shape != (4,) or not (np.abs(q) < 1.1).all() or not abs(float(q @ q) - 1.0) < 1e-6:
         raise ParameterError(f"orientation: expected a unit quaternion x, y, z, w, found {q.tolist()}")
     x, y, z, w = q / np.sqrt(q @ q)
     return np.array(
@@ -86,8 +87,9 @@ def lean_and_heading(quaternions: Array) -> tuple[Array, Array]:
 
 
 def imu_to_rear_frame(vectors: Array, orientation: Array) -> Array:
-    """Vectors (n, 3) in REP-103 axes of the imu frame -> SAE axes of the rear frame. NaN components stay NaN.
+    """Vectors (n, 3) in REP-103 axes of the imu frame -> SAE axes of the rear frame.
 
+    A component that is not finite is absent: NaN, with all that it enters.
     orientation: quaternion x, y, z, w of the imu frame in the rear frame (REP-103), as in tms_msgs/RunInfo.
     """
     return flip_axes(_rotate(vectors, rotation_matrix(orientation)))
@@ -99,8 +101,8 @@ def rear_frame_to_imu(vectors: Array, orientation: Array) -> Array:
 
 
 def _rotate(vectors: Array, rotation: Array) -> Array:
-    # An absent (NaN) component must spoil only the components it enters: 0 * NaN would spoil them all.
-    absent = np.isnan(vectors)
+    # An absent component must spoil only the components it enters: 0 * NaN would spoil them all.
+    absent = ~np.isfinite(vectors)
     rotated = np.where(absent, 0.0, vectors) @ rotation.T
     spoilt = (absent.astype(float) @ (np.abs(rotation.T) > 1e-12)) > 0
     return np.where(spoilt, np.nan, rotated)

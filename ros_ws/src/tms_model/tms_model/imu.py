@@ -81,8 +81,9 @@ def lean_and_yaw_rate(angular_velocity: Array, lean: Array) -> tuple[Array, Arra
     """Lean rate and yaw rate [rad/s], each (n,), from the gyroscopes (n, 3) in SAE axes of the rear frame.
 
     The yaw rate is the part of the angular velocity about the vertical: w_y sin(lean) + w_z cos(lean), which
-    needs the lean angle (n,) [rad] to first order only. Without w_y (NaN), w_z / cos(lean) stands for it.
+    needs the lean angle (n,) [rad] to first order only. Without w_y, w_z / cos(lean) stands for it. Readings
+    that are not finite are absent: NaN.
     """
-    w_y, w_z = angular_velocity[:, 1], angular_velocity[:, 2]
+    lean_rate, w_y, w_z = np.where(np.isfinite(angular_velocity), angular_velocity, np.nan).T
     level = np.where(np.isnan(w_y), w_z / np.cos(lean), w_y * np.sin(lean) + w_z * np.cos(lean))
-    return angular_velocity[:, 0].copy(), level
+    return lean_rate.copy(), level

@@ -6,9 +6,11 @@ import shlex
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tms_bag.checks.finding import ERROR, NOTE, WARNING, Finding
 from tms_bag.checks.survey import Survey
+from tms_bag.reading_limits import SPEED_LIMIT, measured
 
 SHORTEST = 2.0  # [s] half a second of quiet before a strike and 1.5 s of free response
 UNEVEN_SPEED = 0.1  # of the median
@@ -122,7 +124,12 @@ def speed_values(survey: Survey) -> Iterator[Finding]:
     """A speed that is zero, backwards, uneven, or too fast to be in m/s."""
     if survey.speed is None or survey.speed_topic is None:
         return
-    speed = survey.speed.speed[np.isfinite(survey.speed.speed)]
+    there = np.isfinite(measured(survey.speed.speed, SPEED_LIMIT))
+    if there.mean() > 0.5:  # else the unit is another one, as the median shows
+        yield from _missing_speeds(survey.speed_topic, there)
+        speed = survey.speed.speed[there]
+    else:
+        speed = survey.speed.speed[np.isfinite(survey.speed.speed)]
     usual = float(np.median(speed)) if speed.size else float("nan")
     moving = speed[np.abs(speed) > 0.3]
     if not moving.size:
@@ -181,6 +188,20 @@ def no_bicycle(survey: Survey) -> Iterator[Finding]:
             "the fit must be told",
             "`./tms model list` shows those that are known; yours is one YAML file",
             onwards(survey),
+        )
+
+
+def _missing_speeds(topic: str, there: NDArray[np.bool_]) -> Iterator[Finding]:
+    """Some speeds that are none; there: (n,)."""
+    share = 1.0 - float(there.mean())
+    if share > 0.0:
+        yield Finding(
+            WARNING,
+            topic,
+            f"{100 * share:.2f} % of the speeds are not finite or beyond {SPEED_LIMIT:g} m/s",
+            "these speeds are left out",
+            "look for the cause in the sensor's driver",
+            values={"share": share},
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tms_bag.checks.finding import ERROR, NOTE, WARNING, Finding
 from tms_bag.checks.survey import Survey
+from tms_bag.reading_limits import RATE_LIMIT, measured
 from tms_bag.samples import FloatArray
 
 GRAVITY = 9.81  # [m/s^2]
@@ -20,17 +21,18 @@ _AXES = "xyz"
 
 
 def no_gyroscope(survey: Survey) -> Iterator[Finding]:
-    """NaN where the angular velocity should be."""
+    """Numbers that are no angular velocity."""
     if survey.imu is None:
         return
-    known = np.isfinite(survey.imu.angular_velocity)
+    known = np.isfinite(measured(survey.imu.angular_velocity, RATE_LIMIT))
     if not known.any():
         yield Finding(
             ERROR,
             survey.imu_topic or "",
-            "all angular velocities are NaN, or marked as absent (angular_velocity_covariance[0] = -1)",
+            f"all angular velocities are NaN, beyond {RATE_LIMIT:g} rad/s, or marked as absent"
+            " (angular_velocity_covariance[0] = -1)",
             "there is no lean rate: nothing can be fitted",
-            "switch the gyroscope on in the sensor's driver",
+            "switch the gyroscope on in the sensor's driver, and check its unit: rad/s",
         )
         return
     for axis, share in zip(_AXES, known.mean(axis=0), strict=True):
@@ -38,7 +40,8 @@ def no_gyroscope(survey: Survey) -> Iterator[Finding]:
             yield Finding(
                 WARNING,
                 survey.imu_topic or "",
-                f"{100 * (1 - share):.2f} % of the angular velocities about {axis} are NaN",
+                f"{100 * (1 - share):.2f} % of the angular velocities about {axis} are not finite or beyond"
+                f" {RATE_LIMIT:g} rad/s",
                 "these samples are left out",
                 "look for the cause in the sensor's driver",
                 values={"axis": axis, "share": 1.0 - float(share)},

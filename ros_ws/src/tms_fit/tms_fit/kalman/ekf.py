@@ -348,4 +348,4 @@ def _yaw_rate(w_y: float, w_z: float, lean: float) -> float:
     """
     if not math.isfinite(lean):
         return math.nan
-    return w_z / math.cos(lean) if math.isnan(w_y) else w_y * math.sin(lean) + w_z * math.cos(lean)
+    return w_z / math.cos(lean) if not math.isfinite(w_y) else w_y * math.sin(lean) + w_z * math.cos(lean)

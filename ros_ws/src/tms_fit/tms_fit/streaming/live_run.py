@@ -96,7 +96,7 @@ class LiveRun:
 
     @property
     def counts(self) -> Counter[str]:
-        """IMU samples left out: repeated, late; saturated ones; flags that came too late to mark theirs."""
+        """IMU samples left out: repeated, late; saturated, missing an axis; flags that came too late."""
         return +self._synchronizer.counts
 
     def results(self) -> list[StrikeFit | FilterStep]:

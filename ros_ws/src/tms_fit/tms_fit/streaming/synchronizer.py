@@ -3,6 +3,7 @@
 The output depends on the samples and their stamps alone, not on the order of their arrival, as long as no IMU
 sample is later than the reorder window: each waits that long for earlier ones, and until speed and steer
 torque are known up to its time, or are late by more than `LONGEST_WAIT_NS`.
+Readings that are not finite or beyond the limits of `tms_bag.reading_limits` are left out here.
 """
 
 from __future__ import annotations
@@ -14,6 +15,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from tms_bag.reading_limits import (
+    SPEED_LIMIT,
+    TORQUE_LIMIT,
+    measured_rates,
+    stated_variance,
+)
 from tms_bag.samples import IntArray
 from tms_model.bicycle import Array
 
@@ -43,13 +50,18 @@ class Sample:
 class Series:
     """Samples of one slow topic; of those with the same stamp the first one, or the one with a variance."""
 
-    def __init__(self) -> None:
+    def __init__(self, limit: float = math.inf) -> None:
+        """limit: magnitude of a value, in its unit, from which on it is no reading."""
+        self._limit = limit
         self.time: list[int] = []
         self.value: list[float] = []
         self.variance: list[float] = []  # NaN: unknown
 
     def add(self, time_ns: int, value: float, variance: float = math.nan) -> None:
-        """One value, at its place in time."""
+        """One value, at its place in time; left out unless it is finite and within the limit."""
+        if not -self._limit < value < self._limit:
+            return
+        variance = stated_variance(variance)
         index = len(self.time)
         if index and time_ns <= self.time[-1]:
             index = bisect_left(self.time, time_ns)
@@ -90,8 +102,10 @@ class SampleSynchronizer:
         self, gyroscopes: Gyroscopes, reorder_window: float, fixed_speed: float | None = None
     ) -> None:
         """reorder_window [s]: longest that an IMU sample may come after a later one; fixed_speed [m/s]."""
-        self.speed, self.steer_torque = Series(), Series()
-        self.counts: Counter[str] = Counter()  # IMU samples left out: repeated, late; and saturated ones
+        self.speed, self.steer_torque = Series(SPEED_LIMIT), Series(TORQUE_LIMIT)
+        self.counts: Counter[str] = (
+            Counter()
+        )  # IMU samples left out: repeated, late; saturated, missing an axis
         self._gyroscopes = gyroscopes
         self._reorder_ns = round(reorder_window * NANOSECONDS)
         self._fixed_speed = fixed_speed
@@ -99,6 +113,7 @@ class SampleSynchronizer:
         self._flags: dict[int, int] = {}  # by stamp, of samples that are still to be released
         self._first_ns: int | None = None
         self._released_ns: int | None = None  # stamp of the last sample released
+        self._present: Flags = NOT_FLAGGED  # axes of the sensor that were measured in an earlier sample
 
     def add_imu(self, time_ns: int, angular_velocity: Vector, variance: Vector) -> None:
         """Gyroscopes [rad/s] in imu axes and their variances; see Sample."""
@@ -147,6 +162,8 @@ class SampleSynchronizer:
         """A reading with the speed and the torque of its time."""
         self._released_ns = time_ns
         flags = self._flags.pop(time_ns, 0) if self._flags else 0
+        rates = measured_rates(rates)
+        self._count_missing(rates)
         turned = self._gyroscopes.in_rear_frame(rates)
         unsaturated = self._gyroscopes.unsaturated(rates, flags)
         if unsaturated is not None:
@@ -157,13 +174,26 @@ class SampleSynchronizer:
         return Sample(
             time_ns=time_ns,
             angular_velocity=turned,
-            variance=variance,
+            variance=(
+                stated_variance(variance[0]),
+                stated_variance(variance[1]),
+                stated_variance(variance[2]),
+            ),
             speed=speed,
             steer_torque=self.steer_torque.at(time_ns)[0],
             unsaturated=turned if unsaturated is None else unsaturated,
             speed_ns=speed_ns,
             flagged=self._gyroscopes.flagged(flags) if flags else NOT_FLAGGED,
         )
+
+    def _count_missing(self, rates: Vector) -> None:
+        """Count a sample without an axis that an earlier one had; a sensor may lack an axis altogether."""
+        x, y, z = rates
+        there = not math.isnan(x), not math.isnan(y), not math.isnan(z)
+        if there != self._present:
+            a, b, c = self._present
+            self.counts["missing"] += (a and not there[0]) or (b and not there[1]) or (c and not there[2])
+            self._present = a or there[0], b or there[1], c or there[2]
 
     def _complete(self, time_ns: int) -> bool:
         assert self._first_ns is not None
