@@ -121,7 +121,7 @@ def live_estimates(order: list[Record]) -> list[tuple[int, bytes]]:
     return [(one.time_ns, one.data) for one in [*found, *fit.finish()] if one.topic == "/estimate"]
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(made=changes)
 def test_impossible_readings_change_no_answer(
     run: SimulatedRun, clean: RecordingFit, made: list[Change]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tms_bag.recording import Recording
-from tms_bag.samples import FloatArray
+from tms_bag.samples import FloatArray, selected
 
 # [rad/s], 57,000 deg/s: gyroscopes for projectiles reach 50,000 deg/s, those of IMUs 4,000.
 RATE_LIMIT = 1e3
@@ -48,7 +48,10 @@ def stated_variance(variance: float) -> float:
 
 
 def without_impossible(recording: Recording) -> Recording:
-    """The recording with NaN for each impossible reading, and a warning for each stream that lacks some."""
+    """The recording without impossible readings, NaN in their place, and a warning for each stream with some.
+
+    Torques are left out instead: each holds until the next one.
+    """
     imu, speed, torque = recording.imu, recording.speed, recording.steer_torque
     rates = measured(imu.angular_velocity, RATE_LIMIT)
     there = np.isfinite(rates)
@@ -64,6 +67,8 @@ def without_impossible(recording: Recording) -> Recording:
         values = measured(torque.steer_torque, TORQUE_LIMIT)
         warnings += _warning(np.isnan(values), "steer torques", f"{TORQUE_LIMIT:g} N m")
         torque = replace(torque, steer_torque=values)
+        if not np.isnan(values).all():
+            torque = selected(torque, ~np.isnan(values))
     return replace(
         recording, imu=imu, speed=speed, steer_torque=torque, warnings=(*recording.warnings, *warnings)
     )
