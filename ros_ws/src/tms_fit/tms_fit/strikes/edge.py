@@ -26,6 +26,7 @@ LEAST_SPACING_S = 0.0025  # samples closer than this are averaged first
 SHIMMY_BAND_HZ = (12.0, 30.0)
 HIGHEST_FREQUENCY_RATIO = 0.46  # of a shimmy per sample rate
 PEAK_POWER_RATIO = 15.0  # least power of a shimmy's peak per median power
+ROUNDING = 1e-12  # remainder of the trend, per largest rate, up to which it is rounding
 UNKNOWN_COUNT = 6  # the parabola before, the jump, slope and curvature added after it
 
 
@@ -112,6 +113,8 @@ def shimmy_frequency(time: Array, rate: Array) -> float:
     highest = min(SHIMMY_BAND_HZ[1], HIGHEST_FREQUENCY_RATIO * (len(x) - 1) / float(x[-1] - x[0]))
     trend = np.polynomial.Polynomial.fit(x, y, 4)
     y = (y - trend(x)) * np.hanning(len(x))
+    if np.abs(y).max() <= ROUNDING * np.abs(rate[recent]).max():  # a sensor without noise: no spectrum
+        return 0.0
     tones = np.arange(SHIMMY_BAND_HZ[0], highest, 0.25)
     power = np.abs(np.exp(-2j * np.pi * np.outer(tones, x - x[0])) @ y) ** 2
     best = int(np.argmax(power))
