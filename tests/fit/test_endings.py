@@ -79,7 +79,7 @@ def test_a_lean_rate_that_adds_up_is_a_fall() -> None:
 
 @pytest.mark.parametrize("name", ["gym_linoleum", "gym_thick_rubber", "gym_polyurethane", "gym_strikes"])
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.quick_for(name=["gym_linoleum", "gym_strikes"], seed=[1])
+@pytest.mark.quick_for(name=["gym_linoleum"], seed=[1])
 def test_hands_end_a_simulated_response_and_strike_nothing(
     make_run: Any, fit_run: Any, name: str, seed: int
 ) -> None:

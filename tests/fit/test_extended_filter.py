@@ -145,6 +145,7 @@ def drawn(seed: int, count: int = 80) -> tuple[np.ndarray, FilterStep]:
     return truth, last
 
 
+@pytest.mark.long
 def test_errors_of_the_bicycle_are_as_large_as_foreseen() -> None:
     # 50 runs, four states: with 95 % probability their mean normalised squared error lies in [3.25, 4.82],
     # though neither speed (10 %) nor C_r nor the biases are known.

@@ -88,6 +88,7 @@ def test_a_known_torque_and_irregular_samples() -> None:
     )
 
 
+@pytest.mark.long
 def test_it_is_found_within_its_standard_error() -> None:
     # Truth by the general integrator, friction ten times as sharp; 15 or less of 20 come once in 400.
     rng, time = np.random.default_rng(12), np.arange(150) * 0.01

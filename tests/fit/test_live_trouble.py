@@ -94,6 +94,7 @@ def test_one_stamp_an_hour_ahead_costs_one_restart() -> None:
     assert len(finals(answers)) == 4
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     # Ten strikes to fill what is kept, then ten more: 6000 samples of hundreds of bytes each, were they kept.
     monkeypatch.setattr(tms_fit.streaming.live_fit, "KEPT_STRIKES", 3)
@@ -116,6 +117,7 @@ def test_memory_does_not_grow_with_the_stream(monkeypatch: pytest.MonkeyPatch) -
     assert sizes[1] - sizes[0] < 0.1 * sizes[0]
 
 
+@pytest.mark.long
 def test_of_runs_that_ended_the_latest_keep_their_samples_and_all_their_strikes() -> None:
     fit = LiveFit(Settings())
     starts = [SECOND + number * 60 * SECOND for number in range(tms_fit.streaming.live_fit.KEPT_RUNS + 2)]

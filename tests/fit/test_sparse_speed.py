@@ -235,6 +235,7 @@ def test_the_supplements_fit_keeps_its_constant_speed(filmed: SimulatedRun, fit_
     assert estimate.known["speed"] == filmed.speed.speed[0]
 
 
+@pytest.mark.long
 def test_constant_speed_is_tested_by_the_rates_alone(strike: StrikeFit) -> None:
     assert strike.window is not None
     found = {one.hypothesis: one for one in run_hypothesis_tests(strike.window, Settings())}

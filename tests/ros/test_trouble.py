@@ -385,6 +385,7 @@ def test_without_power_at_random_moments_at_most_the_last_second_is_missing(
         counting.check(counting.lasting(ended, slowest.result()))
 
 
+@pytest.mark.long
 def test_what_killed_nodes_leave_in_shared_memory_hinders_nobody(
     nodes: Any, participant: Any, tmp_path: Path
 ) -> None:

@@ -53,6 +53,7 @@ def test_small_angles_are_the_linear_ones(go: Any) -> None:
         assert weak[name] == pytest.approx(1e-3 * strong[name], rel=0.1)
 
 
+@pytest.mark.quick_for(coasts=[True], frame=["rear_frame"])
 @pytest.mark.parametrize("coasts", [False, True])
 @pytest.mark.parametrize(("frame", "size"), [("rear_frame", 1e-2), ("front_frame", 1e-3)])
 def test_an_offset_mass_does_what_it_does_to_the_linear_one_at_small_angles(
