@@ -330,8 +330,20 @@ class Disk:
         os.close(handle)
 
     def unmount(self, check: bool = True) -> None:
-        """Take it away."""
+        """Take it away.
+
+        The kernel may keep a file system for a moment beyond its unmounting (pending write-back holds it).
+        Mounted again meanwhile, it would be the same one, still without power, so the end of its loop device is
+        waited for.
+        """
         subprocess.run(["umount", str(self.path)], check=check, capture_output=True)
+        stop_at = time.monotonic() + 30.0
+        while self._is_attached() and time.monotonic() < stop_at:
+            time.sleep(0.01)
+
+    def _is_attached(self) -> bool:
+        listing = subprocess.run(["losetup", "-j", str(self._image)], capture_output=True, check=False)
+        return bool(listing.stdout.strip())
 
     def slowest_sync(self, stop: threading.Event) -> float:
         """Keep syncing a file where the image lies; returns the longest time that took [s]."""
