@@ -333,8 +333,8 @@ class Disk:
         """Take it away.
 
         The kernel may keep a file system for a moment beyond its unmounting (pending write-back holds it).
-        Mounted again meanwhile, it would be the same one, still without power, so the end of its loop device is
-        waited for.
+        Mounted again meanwhile, it would be the same one, still without power, so this waits for the end of
+        its loop device.
         """
         subprocess.run(["umount", str(self.path)], check=check, capture_output=True)
         stop_at = time.monotonic() + 30.0
