@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+TESTS = Path(__file__).parent
 LEFT_OUT = pytest.StashKey[dict[str, int]]()  # number of tests that were not selected, by marker
 CHOSEN_BY = {"long": "--thorough runs them as well", "slow_setup": "-m slow_setup runs them"}
 
@@ -33,7 +34,19 @@ def place(item: pytest.Item) -> int:
         return 0
     if item.get_closest_marker("long"):
         return 3
-    return 1 if item.path.parent == Path(__file__).parent else 2
+    return 1 if item.path.parent == TESTS else 2
+
+
+def spread(items: list[pytest.Item]) -> dict[Path, float]:
+    """Place of each file among all (0 to 1).
+
+    Tests of nodes wait more than they compute: their files stand at even distances between the others, so that
+    never all workers wait at the same time.
+    """
+    files = list(dict.fromkeys(item.path for item in items))
+    waiting = [file for file in files if file.parent == TESTS / "ros"]
+    others = [file for file in files if file.parent != TESTS / "ros"]
+    return {file: (k + 0.5) / len(group) for group in (waiting, others) for k, file in enumerate(group)}
 
 
 def omitted(item: pytest.Item) -> str | None:
@@ -57,7 +70,8 @@ def pytest_collection_modifyitems(
             cases = item.callspec.params  # type: ignore[attr-defined]
             if any(cases[name] not in values for name, values in marker.kwargs.items()):
                 item.add_marker("long")
-    items.sort(key=place)
+    places = spread(items)
+    items.sort(key=lambda item: (place(item), places[item.path]))
     result = yield  # -k and -m
     left_out = [item for item in items if omitted(item)]
     if left_out:

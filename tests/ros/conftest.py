@@ -21,11 +21,14 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from tms_bag import BagWriter, Record, conversion, topics
+from tms_bag.nodes.loopback import LOOPBACK, PROFILES, stay_on_this_machine
 from tms_bag.record import merged
 from tms_bag.samples import ImuSamples, RunInfo, SpeedSamples
 
 DEADLINE = 300.0  # [s]; tells what hangs from what is slow: a busy machine takes 20 s to start a node
 ASK_AGAIN = 1.0  # [s]; an answer that is lost is never sent again
+OFTEN = """<discovery_config><leaseAnnouncement><sec>0</sec><nanosec>300000000</nanosec></leaseAnnouncement>
+</discovery_config>"""
 
 
 class Nodes:
@@ -171,6 +174,7 @@ class Participant(Node):
         """Leave the domain."""
         self._spinner.shutdown()
         self.destroy_node()
+        rclpy.shutdown(context=self.context)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -205,16 +209,40 @@ def nodes(domain_id: int, tmp_path: Path) -> Iterator[Nodes]:
     these.kill_all()
 
 
-@pytest.fixture
-def participant(domain_id: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Participant]:
-    """A node inside the test, in the test's domain."""
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+@pytest.fixture(scope="session", autouse=True)
+def surroundings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment variables for a node inside the test, which tell others of it every 0.3 s.
+
+    Fast DDS does so every 3 s, and who misses the first time waits for the next. It reads its profile once,
+    when a process makes its first node, so that one is made here.
+    """
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    stay_on_this_machine(environment)
+    if PROFILES in environment:
+        profile = tmp_path_factory.mktemp("profiles") / "often.xml"
+        profile.write_text(LOOPBACK.read_text().replace("<builtin>", f"<builtin>{OFTEN}"))
+        environment[PROFILES] = str(profile)
+    with unused_domain_id() as number, pytest.MonkeyPatch.context() as while_made:
+        participant_of(number, environment, while_made).close()
+    return environment
+
+
+def participant_of(domain_id: int, surroundings: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Participant:
+    """A node made with these environment variables."""
+    for name, value in surroundings.items():
+        monkeypatch.setenv(name, value)
     context = Context()
     rclpy.init(context=context, domain_id=domain_id)
-    node = Participant(context)
+    return Participant(context)
+
+
+@pytest.fixture
+def participant(domain_id: int, surroundings: dict[str, str]) -> Iterator[Participant]:
+    """A node inside the test, in the test's domain."""
+    with pytest.MonkeyPatch.context() as while_made:
+        node = participant_of(domain_id, surroundings, while_made)
     yield node
     node.close()
-    rclpy.shutdown(context=context)
 
 
 def made_up_records(

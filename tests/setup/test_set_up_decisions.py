@@ -167,11 +167,11 @@ def test_with_wheels_nothing_of_another_ros_gets_in(project, bash):
         ("--pdb", 4, False),
     ],
 )
-def test_the_whole_suite_gets_a_worker_for_each_core(project, bash, arguments, cores, workers):
+def test_the_whole_suite_gets_more_workers_than_cores(project, bash, arguments, cores, workers):
     fakes = f'PYTHON=true; nproc() {{ echo {cores}; }}; run_python() {{ echo "$*"; }}'
     done = bash(project, f"{fakes}; run_tests {arguments}")
     given = arguments.replace('"', "").replace("$1", f"{project}/tms")
-    started = f" -n {cores} --dist worksteal" if workers else ""
+    started = f" -n {cores * 3 // 2} --dist worksteal" if workers else ""
     assert done.stdout.split() == f"-m pytest{started} {given}".split(), done.stderr
 
 
