@@ -21,7 +21,7 @@ def test_each_is_described() -> None:
 
 
 @pytest.mark.parametrize("path", RUNNERS, ids=lambda path: path.stem)
-@pytest.mark.quick_for(path=[FOLDER / "kalman.py", FOLDER / "estimation.py"])
+@pytest.mark.quick_for(path=[FOLDER / "kalman.py"])
 def test_it_runs_and_says_on_what(path: Path) -> None:
     if path.stem == "model":
         pytest.importorskip(

@@ -99,6 +99,7 @@ SAYING = [("list", ""), ("list", "1"), ("matrices benchmark --json", ""), ("--he
 
 
 @pytest.mark.parametrize(("arguments", "unbuffered"), SAYING)
+@pytest.mark.quick_for(arguments=["list", "--help"], unbuffered=[""])
 def test_standard_output_may_take_nothing(arguments: str, unbuffered: str) -> None:
     with Path("/dev/full").open("w") as full:
         code, said = say(arguments, full.fileno(), unbuffered)

@@ -156,6 +156,7 @@ def test_a_speed_that_no_bicycle_has_is_as_if_it_had_not_come() -> None:
 
 # A message may not have files opened, whatever it names; without all numbers it says no bicycle.
 @pytest.mark.parametrize("name", ["tandem", str(FOLDER / "tms_eq_10_1.yaml"), "../bicycles/tms_eq_10_1"])
+@pytest.mark.quick_for(name=["../bicycles/tms_eq_10_1"])
 def test_a_run_info_with_an_unknown_bicycle_is_counted_and_waited_past(name: str) -> None:
     fit = LiveFit(Settings())
     (wrong,) = conversion.run_info_records(replace(INFO, bicycle=name, parameters={"trail": 0.1}))

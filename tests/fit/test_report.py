@@ -302,6 +302,7 @@ def test_simulated_runs_are_compared_with_the_truth(report: Any, bag: Path, run:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.97])
+@pytest.mark.quick_for(share=[0.3, 0.97])
 def test_truncated_bags(command: Any, bag: Path, tmp_path: Path, share: float) -> None:
     (whole,) = bag.glob("*.mcap")
     (tmp_path / "cut.mcap").write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])
@@ -435,6 +436,7 @@ def test_refused(refused: Any, bag: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("after", [0.3, 1.0, 1.6])
+@pytest.mark.quick_for(after=[1.0])
 def test_killed_half_way_leaves_nothing_half_written(bag: Path, tmp_path: Path, after: float) -> None:
     (tmp_path / "report.html").write_text("the old one")
     command = [sys.executable, "-m", "tms_fit", "report", str(bag), "-o", str(tmp_path / "report.html")]

@@ -92,7 +92,7 @@ def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
 def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
     first = [record for record in messages(limited) if record.topic != f"/{topics.LEAN_YAW}"]
     late = [record for record in messages(limited) if record.topic == f"/{topics.LEAN_YAW}"]
-    fit = LiveFit(Settings())
+    fit = LiveFit(Settings(), preview_period=0.0)
     for record in first + late:
         fit.process(record.topic.removeprefix("/"), record.data)
     marked = np.count_nonzero(limited.lean_yaw.saturation)

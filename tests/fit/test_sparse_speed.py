@@ -206,6 +206,7 @@ def test_where_the_fit_is_told_what_is_free_the_interval_still_knows(
     assert "C_r = 0.050 +- 0.050" in estimate.message
 
 
+@pytest.mark.long
 def test_a_known_resistance_narrows_the_interval(
     filmed: SimulatedRun, fit_run: Any, strike: StrikeFit
 ) -> None:

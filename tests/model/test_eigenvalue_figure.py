@@ -16,7 +16,7 @@ from tms_model import Bicycle, bicycle_names, eigenvalues, load_bicycle, stabili
 from tms_model.figures.drawing import drawing_figure
 from tms_model.figures.eigenvalues import eigenvalue_figure
 
-KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+KINDS = ("tms_eq_10_1", "counterexample_7_rear_steering")
 
 NAMES = bicycle_names()
 

@@ -19,7 +19,7 @@ from tms_model import (
 )
 from tms_model.ensemble import ensemble, ensemble_eigenvalues, ensemble_stability
 
-KINDS = ("benchmark", "tms_table_8_1", "tms_eq_10_1", "counterexample_7_rear_steering")
+KINDS = ("benchmark", "counterexample_7_rear_steering")
 
 ASSEMBLED = [name for name in bicycle_names() if load_bicycle(name).parameters is not None]
 ELEMENTS = {"free": SteerElements(), "controlled": SteerElements(0.5, 0.3, 0.0, 1.0)}

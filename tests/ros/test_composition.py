@@ -38,6 +38,7 @@ def python(*arguments: str, **options: Any) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.quick_for(how=[signal.SIGINT])
 def test_a_signal_while_modules_load_ends_a_node_without_a_word(tmp_path: Path, how: signal.Signals) -> None:
     (tmp_path / "slow.py").write_text(
         "from pathlib import Path\nPath('loading').touch()\nimport time; time.sleep(600)"

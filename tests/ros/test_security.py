@@ -21,6 +21,7 @@ SERVERS = {"socket", "socketserver", "http", "xmlrpc", "asyncio", "websockets", 
 
 @pytest.mark.skipif(dds_has_security(), reason="this DDS can be secured: nodes start in their enclave")
 @pytest.mark.parametrize("name", NODES)
+@pytest.mark.quick_for(name=["recorder"])
 def test_no_node_starts_where_its_enclave_would_mean_nothing(name: str) -> None:
     ways = {
         "--enclave": (["--enclave", "/tms/node"], {}),
@@ -54,6 +55,7 @@ def test_what_asks_for_security(arguments: list[str], environment: dict[str, str
 
 
 @pytest.mark.parametrize("name", NODES)
+@pytest.mark.quick_for(name=["estimator"])
 def test_every_socket_of_a_node_is_on_the_loopback(
     nodes: Any, participant: Any, name: str, bag: Path
 ) -> None:

@@ -38,7 +38,7 @@ LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def run_of(**changes: object) -> Any:
-    scenario = load_scenario("tms_strike", changes)
+    scenario = load_scenario("tms_strike", {"duration": 4.0, **changes})
     return simulate(scenario, np.random.default_rng(scenario.integer("seed")))
 
 
@@ -121,15 +121,14 @@ def test_a_publisher_that_dies_and_returns_begins_a_new_run(nodes: Any, particip
     first, second = inputs(run_of(seed=1)), inputs(run_of(seed=2))
     answers = Answers(participant)
     nodes.start("tms_fit", "estimator")
-    expected = {t: offline(first)[t] + offline(second)[t] for t in ("/estimate", "/filter_state")}
+    expected: dict[str, list[bytes]] = {"/estimate": [], "/filter_state": []}
     for records in (first, second):
         source = Source(participant, records)
         source.wait_for("/estimator")
         source.send(records)
-        count = len(offline(first)["/filter_state"]) * (1 if records is first else 2)
-        participant.spin_until(lambda n=count: len(answers.found["/filter_state"]) == n, "every sample")
-        strikes = len(offline(first)["/estimate"]) * (1 if records is first else 2)
-        participant.spin_until(lambda n=strikes: len(answers.found["/estimate"]) == n, "every estimate")
+        for topic, those in offline(records).items():
+            expected[topic] += those
+        answers.wait_for(participant, expected)
         source.leave()
     assert answers.found == expected
 
@@ -209,7 +208,7 @@ def test_a_storm_of_parameters_costs_no_sample(nodes: Any, participant: Any) -> 
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.2, 1.6, 2.0, 2.5])
-@pytest.mark.quick_for(delay=[0.3, 1.2, 2.0])
+@pytest.mark.quick_for(delay=[0.3, 1.2])
 def test_a_signal_at_any_stage_leaves_nothing_half_made(nodes: Any, tmp_path: Path, delay: float) -> None:
     recorder = nodes.start("tms_bag", "recorder", "-p", f"output:={tmp_path / 'bag'}")
     time.sleep(delay)
@@ -291,7 +290,7 @@ def waited() -> int:
     return 1000 * int(some.rpartition("total=")[2])
 
 
-@pytest.mark.parametrize("times", [4, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [2, pytest.param(200, marks=pytest.mark.long)])
 def test_killed_at_random_moments_nothing_that_was_in_the_bag_is_missing(
     nodes: Any, participant: Any, tmp_path: Path, times: int
 ) -> None:
@@ -372,7 +371,7 @@ def disk(tmp_path: Path) -> Iterator[Disk]:
 
 
 @pytest.mark.measures
-@pytest.mark.parametrize("times", [3, pytest.param(50, marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [2, pytest.param(50, marks=pytest.mark.long)])
 def test_without_power_at_random_moments_at_most_the_last_second_is_missing(
     nodes: Any, participant: Any, disk: Disk, times: int
 ) -> None:
@@ -435,7 +434,7 @@ def test_a_consumer_that_is_held_up_gets_a_lossless_replay_in_its_order(
     nodes: Any, participant: Any, tmp_path: Path
 ) -> None:
     # What doesn't fit into shared memory is sent again, after what was sent later on other topics.
-    records = inputs(run_of(seed=9, duration=20.0))
+    records = inputs(run_of(seed=9, duration=8.0))
     with BagWriter(tmp_path / "bag") as bag:
         for record in records:
             bag.write(record, topics.QOS[record.topic.removeprefix("/")])
@@ -447,7 +446,7 @@ def test_a_consumer_that_is_held_up_gets_a_lossless_replay_in_its_order(
         *("-p", "rate:=1000.0", "-p", "loop:=true"),
     )
     samples = sum(record.topic == "/imu/data_raw" for record in records)
-    for number in range(1, 9):
+    for number in range(1, 6):
         wanted = number * samples // 2
         participant.spin_until(lambda n=wanted: handled.get("/imu/data_raw", 0) >= n, "half a round")
         estimator.send_signal(signal.SIGSTOP)

@@ -27,6 +27,7 @@ def departures(run: Trajectory) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("coasts", [False, True])
+@pytest.mark.quick_for(coasts=[True])
 def test_it_is_the_motion_of_the_nonlinear_equations(go: Any, coasts: bool) -> None:
     # Over large angles: 0.3 rad/s leans the benchmark bicycle by 8 degrees.
     changes = {"floor": "hard_wood", "effects__rolling_resistance": True, "speed_at_strike": 5.0}
@@ -47,13 +48,13 @@ def test_it_is_the_motion_of_the_nonlinear_equations(go: Any, coasts: bool) -> N
 def test_small_angles_are_the_linear_ones(go: Any) -> None:
     # What linear theory leaves out is of third order: a tenth of the strike, a thousandth of the departure.
     strong, weak = (
-        departures(go("benchmark_strike", **NONLINEAR, strike__lean_rate=rate)) for rate in (0.2, 0.02)
+        departures(go("benchmark_strike", **NONLINEAR, strike__lean_rate=rate, duration=4.0)) for rate in (0.2, 0.02)
     )
     for name in ("lean_rad", "lean_rate_rad_s", "yaw_rate_rad_s"):
         assert weak[name] == pytest.approx(1e-3 * strong[name], rel=0.1)
 
 
-@pytest.mark.quick_for(coasts=[True], frame=["rear_frame"])
+@pytest.mark.long
 @pytest.mark.parametrize("coasts", [False, True])
 @pytest.mark.parametrize(("frame", "size"), [("rear_frame", 1e-2), ("front_frame", 1e-3)])
 def test_an_offset_mass_does_what_it_does_to_the_linear_one_at_small_angles(
