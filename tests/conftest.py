@@ -40,8 +40,8 @@ def place(item: pytest.Item) -> int:
 def spread(items: list[pytest.Item]) -> dict[Path, float]:
     """Place of each file among all (0 to 1).
 
-    Tests of nodes wait more than they compute: their files stand at even distances between the others, so that
-    never all workers wait at the same time.
+    Tests of nodes wait more than they compute: their files stand at even distances between the others, so
+    that never all workers wait at the same time.
     """
     files = list(dict.fromkeys(item.path for item in items))
     waiting = [file for file in files if file.parent == TESTS / "ros"]

@@ -101,7 +101,7 @@ def test_changed_numbers_are_recovered_within_their_intervals(calibrations: list
 def test_what_a_start_that_is_not_upright_does_is_told(delft: Bicycle) -> None:
     # Pushes of 0.2 s that end with lean and steer, all in the same proportion: their scatter shows nothing.
     generator = np.random.default_rng(3)
-    upright = pushes(delft, TRUTH, generator, 3, 0.005, 0.0)
+    upright = pushes(delft, TRUTH, generator, 4, 0.005, 0.0)
     leaning = []
     for run in upright:
         rate = generator.uniform(0.4, 1.0)

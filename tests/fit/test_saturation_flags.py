@@ -54,8 +54,8 @@ def live(records: list[Record], settings: Settings | None = None) -> tuple[list[
 def test_a_marked_axis_is_as_one_that_stands_at_a_known_limit(limited: SimulatedRun, fit_run: Any) -> None:
     (told,) = fit_run(limited)
     (known,) = fit_run(unmarked(limited), gyroscope_range=LIMIT)
-    (neither,) = fit_run(unmarked(limited))
-    (used,) = fit_run(limited, saturation="use")
+    (neither,) = fit_run(unmarked(limited), estimators=("least_squares",))
+    (used,) = fit_run(limited, saturation="use", estimators=("least_squares",))
     for one, other in zip(told.estimates, known.estimates, strict=True):
         assert one.sample_count == other.sample_count
         np.testing.assert_array_equal(one.values, other.values)
@@ -92,7 +92,7 @@ def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
 def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
     first = [record for record in messages(limited) if record.topic != f"/{topics.LEAN_YAW}"]
     late = [record for record in messages(limited) if record.topic == f"/{topics.LEAN_YAW}"]
-    fit = LiveFit(Settings(), preview_period=0.0)
+    fit = LiveFit(Settings(estimators=("least_squares",)), preview_period=0.0)
     for record in first + late:
         fit.process(record.topic.removeprefix("/"), record.data)
     marked = np.count_nonzero(limited.lean_yaw.saturation)
