@@ -405,6 +405,7 @@ def test_nis_keeps_to_its_band_when_noise_is_right(report: Any, bag: Path) -> No
     np.testing.assert_allclose(columns["high"], 7.3778, rtol=1e-4)  # chi square, 2 channels, 97.5 %
 
 
+@pytest.mark.long
 def test_a_prediction_ends_where_its_speed_is_not_known(
     command: Any, run: SimulatedRun, tmp_path: Path
 ) -> None:

@@ -114,6 +114,7 @@ def test_steer_rate_when_asked_for(fit_bag: Any) -> None:
         assert_holds(estimate, "lean_rate_bias", 0.0)
 
 
+@pytest.mark.long
 def test_feedback_is_told_from_an_input(fit_bag: Any) -> None:
     # An input is held from sample to sample; the torque that acted changed in between: hence 400 samples a
     # second.

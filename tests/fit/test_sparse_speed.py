@@ -220,6 +220,7 @@ def test_a_known_resistance_narrows_the_interval(
     assert stds[2] <= stds[1] < stds[0]
 
 
+@pytest.mark.long
 def test_filter_and_smoother_agree_with_least_squares(filmed: SimulatedRun, fit_run: Any) -> None:
     (found,) = fit_run(filmed, noise="white", loss="squares")
     squares, smoothed = found.estimates
@@ -243,6 +244,7 @@ def test_constant_speed_is_tested_by_the_rates_alone(strike: StrikeFit) -> None:
     assert found["constant speed"].parameter == "rolling_resistance"
 
 
+@pytest.mark.long
 def test_live_is_offline_to_the_byte_with_the_cameras_speed(filmed: SimulatedRun) -> None:
     offline = fit_recording(filmed.recording()).strikes
     live = LiveFit(Settings(), preview_period=60.0)

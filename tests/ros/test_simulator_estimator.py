@@ -88,7 +88,7 @@ def test_replayed_bag_gives_the_estimates_of_the_offline_fit(nodes: Any, tmp_pat
 
 
 @pytest.mark.parametrize("window", [500, 7])
-@pytest.mark.quick_for(window=[7])
+@pytest.mark.long
 def test_a_lossless_replay_as_fast_as_it_goes_gives_the_answer_of_the_offline_fit(
     nodes: Any, tmp_path: Path, window: int
 ) -> None:

@@ -158,6 +158,7 @@ def remapped_inputs() -> list[str]:
     return [word for topic in INPUTS for word in ("-r", f"{topic}:=/{topic}")]
 
 
+@pytest.mark.long
 def test_time_that_jumps_back_and_forward_begins_new_runs(nodes: Any, participant: Any) -> None:
     now, later = inputs(run_of(seed=4)), inputs(run_of(seed=4, start_time_ns=1_900_000_000_000_000_000))
     records = now + later + now
