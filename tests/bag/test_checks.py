@@ -239,6 +239,11 @@ FAULTS: dict[str, list[tuple[Callable[[Run], Run | list[Record]], str]]] = {
         (lambda run: turned(run, math.pi, 0.0, 0.0), ERROR),
         (lambda run: turned(run, math.radians(12.0), 0.0, 0.0), WARNING),
     ],
+    "strike_axis": [
+        (lambda run: turned(run, 0.0, 0.0, math.pi / 2), ERROR),
+        (lambda run: turned(run, 0.0, 0.0, math.pi), ERROR),
+        (lambda run: turned(run, 0.0, math.pi / 2, math.pi / 2), ERROR),
+    ],
 }
 NEED_MORE = {"unfinished", "alignment"}  # tested below
 
@@ -290,7 +295,12 @@ def test_a_fault_is_found_and_told_whole(clean, bag_of, name, number):
         ("speed_values", 2, set()),
         ("saturation", 0, set()),
         ("gyro_bias", 0, set()),
+        ("gravity_direction", 1, set()),
+        ("gravity_direction", 2, set()),
         ("gravity_direction", 3, set()),
+        ("strike_axis", 0, set()),
+        ("strike_axis", 1, set()),
+        ("strike_axis", 2, {"gravity_direction"}),
     ],
 )
 def test_a_fault_is_not_taken_for_another(clean, bag_of, name, number, others):

@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 from tms_bag import RecordingError, read_recording
+from tms_bag.checks import findings, survey
+from tms_bag.imu_mounting import imu_mounting
 from tms_bag.logs.csv_import import import_csv
 from tms_bag.logs.mapping import load_mapping
 
@@ -86,3 +88,12 @@ def test_files_that_are_other_things_are_refused(delft_data, tmp_path, name):
     with pytest.raises(RecordingError, match="expected the columns 'lean_rate'"):
         import_csv(delft_data / name, load_mapping("delft_sbw"), tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+def test_one_gyroscope_shows_no_mounting_and_raises_no_alarm(imported):
+    recording, _, _ = imported
+    with pytest.raises(RecordingError, match=r"expected (gravity|100 or more samples of all three)"):
+        imu_mounting(recording.imu, recording.speed, recording.run_info.imu_orientation)
+    assert {"gravity_direction", "strike_axis"}.isdisjoint(
+        name for name, _ in findings(survey(recording.path))
+    )

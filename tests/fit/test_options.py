@@ -40,7 +40,13 @@ def test_without_arguments_the_settings_are_the_defaults() -> None:
 
 
 def test_each_option_is_read_from_the_command_line() -> None:
-    texts = {"number": "0.4", "numbers": "8,0.2", "values": "speed=3", "priors": "speed=3,0.1"}
+    texts = {
+        "number": "0.4",
+        "numbers": "8,0.2",
+        "values": "speed=3",
+        "priors": "speed=3,0.1",
+        "angles": "0,0,90",
+    }
     for name, one in OPTIONS.items():
         if one.flag:
             text = texts.get(one.kind) or one.choices[-1]
@@ -72,6 +78,21 @@ def test_choices_are_those_that_exist(name: str) -> None:
         assert getattr(Settings(**{name: choice}), name) == choice
     with pytest.raises(ParameterError, match=f"^{name.replace('_', ' ')}: unknown 'none'; expected of"):
         Settings(**{name: "none"})
+
+
+@pytest.mark.parametrize("text", ["90", "0,0", "0,0,0,1", "0,0,nan"])
+def test_an_orientation_is_three_finite_angles(text: str) -> None:
+    with pytest.raises(ParameterError, match=rf"expected ROLL,PITCH,YAW \[deg\] or auto, found {text}"):
+        parsed("--imu-orientation", text)
+
+
+@pytest.mark.parametrize("text", ["upright", "0,0,x", "", "0;0;90"])
+def test_an_orientation_is_of_numbers_or_auto(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert parsed("--imu-orientation", "auto").imu_orientation == "auto"
+    assert parsed("--imu-orientation=-90,0,180").imu_orientation == (-90.0, 0.0, 180.0)
+    with pytest.raises(SystemExit):
+        parsed("--imu-orientation", text)
+    assert f"expected ROLL,PITCH,YAW [deg] or auto, found {text!r}" in capsys.readouterr().err
 
 
 def test_names_in_the_table_are_those_of_the_modules_behind() -> None:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from tms_calibrate.pooled_fit import Strike
 
 METHODS = ("reml", "dersimonian_laird")  # those of tms_calibrate.random_effects
-COMMON = ("window", "speed_model", "steer_torque", "fixed")  # options of `fit run` that both commands have
+# Options of `fit run` that both commands have.
+COMMON = ("window", "speed_model", "steer_torque", "fixed", "imu_orientation")
 OWN_UNKNOWNS = "unknowns of each strike (default: as fit run)"
 NEAR_WITHIN_S = 0.3  # [s] between a time of `--near` and the strike that it selects
 

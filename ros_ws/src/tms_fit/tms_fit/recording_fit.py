@@ -17,6 +17,7 @@ from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
 from tms_fit.gyroscopes import FLAGS, Gyroscopes, orientation_of
+from tms_fit.imu_orientation import with_orientation
 from tms_fit.run_info import stated_bicycle
 from tms_fit.segment import FreeResponse
 from tms_fit.settings import Settings
@@ -60,7 +61,7 @@ def fit_recording(
     samples; ParameterError for an unknown estimator.
     """
     check_names(settings.estimators)
-    recording = without_impossible(recording)
+    recording = with_orientation(without_impossible(recording), settings)
     _check_measurements(recording, settings)
     bicycle = bicycle_of(recording) if bicycle is None else bicycle
     samples = synchronize(recording, settings, progress)
@@ -77,7 +78,7 @@ def find_strikes(
     strike_times: Iterable[float] = (),
 ) -> tuple[tuple[Strike, ...], tuple[Rejected, ...]]:
     """Strikes of a recording, and the changes of its lean rate that were rejected; see `fit_recording`."""
-    recording = without_impossible(recording)
+    recording = with_orientation(without_impossible(recording), settings)
     _check_measurements(recording, settings)
     bicycle = bicycle_of(recording) if bicycle is None else bicycle
     samples = synchronize(recording, settings)

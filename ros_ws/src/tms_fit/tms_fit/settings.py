@@ -15,7 +15,8 @@ from tms_model.resistance import RESISTANCES, Resistance
 
 from tms_fit.parameters import CHANNELS, FRICTION, PARAMETERS, check_known
 
-Kind = Literal["number", "numbers", "choice", "names", "values", "priors"]
+AUTO = "auto"
+Kind = Literal["number", "numbers", "angles", "choice", "names", "values", "priors"]
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,16 @@ class Settings:
         high=1000.0,
         unset="what the covariance in the IMU's messages says",
     )
+    imu_orientation: tuple[float, ...] | str | None = option(
+        "angles",
+        None,
+        "orientation of the sensor on the rear frame: turns about the frame's fixed axes x (forward), y"
+        " (left), z (up), in this order; or auto: as gravity and strikes of the whole recording show it (not"
+        " in the node)",
+        unit="deg",
+        metavar="ROLL,PITCH,YAW|auto",
+        unset="as the recording states it, else 0,0,0",
+    )
     filter: str = option(
         "choice",
         "linear",
@@ -242,6 +253,7 @@ class Settings:
             )
         self._check_saturation()
         self._check_oscillator()
+        self._check_orientation()
 
     def _check_fixed(self) -> None:
         """Check that fixed values are finite, a speed positive, a friction not negative."""
@@ -277,6 +289,15 @@ class Settings:
                 "oscillator: expected a frequency [Hz], then a decay time [s], then a deviation [rad/s], each"
                 f" positive, found {found}"
             )
+
+    def _check_orientation(self) -> None:
+        """Check that an orientation is auto or three finite angles."""
+        given = self.imu_orientation
+        if given is None or given == AUTO:
+            return
+        if isinstance(given, str) or len(given) != 3 or not all(math.isfinite(angle) for angle in given):
+            found = given if isinstance(given, str) else ",".join(f"{angle:g}" for angle in given)
+            raise ParameterError(f"imu orientation: expected ROLL,PITCH,YAW [deg] or {AUTO}, found {found}")
 
     def _check_free(self) -> None:
         """Check that free parameters, fixed values and priors are consistent."""

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from tms_model.errors import ParameterError
 
-from tms_fit.settings import OPTIONS, Option, Settings
+from tms_fit.settings import AUTO, OPTIONS, Option, Settings
 
 Value = TypeVar("Value")
 
@@ -53,6 +53,7 @@ def _reading(one: Option) -> dict[str, Any]:
     readers: dict[str, tuple[Callable[[str], Any], str]] = {
         "number": (float, {"s": "S", "rad/s": "RATE"}.get(one.unit, "NUMBER")),
         "numbers": (numbers, "NUMBER,..."),
+        "angles": (angles, "NUMBER,..."),
         "names": (names, "NAME,..."),
     }
     read, metavar = readers[one.kind]
@@ -102,6 +103,14 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected numbers, found {text!r}") from None
+
+
+def angles(text: str) -> tuple[float, ...] | str:
+    """ROLL,PITCH,YAW as numbers, or auto. Raises argparse.ArgumentTypeError."""
+    try:
+        return AUTO if text == AUTO else numbers(text)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"expected ROLL,PITCH,YAW [deg] or {AUTO}, found {text!r}") from None
 
 
 def each_once(pairs: Iterable[tuple[str, Value]], option: str) -> dict[str, Value]:

@@ -52,6 +52,38 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Array:
     )
 
 
+def matrix_quaternion(rotation: Array) -> Array:
+    """Quaternion x, y, z, w of a rotation matrix (3, 3), w not negative: an eigenvector.
+
+    I. Y. Bar-Itzhack, J. Guidance, Control, and Dynamics 23 (2000) 1085, doi:10.2514/2.4654.
+    """
+    m = rotation
+    k = np.array(
+        [
+            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
+            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
+            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
+        ]
+    )  # fmt: skip
+    vector = np.linalg.eigh(k / 3.0)[1][:, -1]
+    return np.asarray(vector if vector[3] >= 0.0 else -vector)
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Fixed-axis roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); roll 0 at a pitch of 90 degrees."""
+    pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
+    if np.hypot(rotation[2, 1], rotation[2, 2]) < 1e-9:
+        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
+    return np.array(
+        [
+            np.arctan2(rotation[2, 1], rotation[2, 2]),
+            pitch,
+            np.arctan2(rotation[1, 0], rotation[0, 0]),
+        ]
+    )
+
+
 def compose(outer: Array, inner: Array) -> Array:
     """Quaternion x, y, z, w of `inner` followed by `outer`: the rotation matrices multiply as outer @ inner.
 

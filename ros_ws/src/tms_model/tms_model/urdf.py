@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from tms_model.bicycle import Array
-from tms_model.frames import flip_axes, rotation_matrix
+from tms_model.frames import flip_axes, roll_pitch_yaw, rotation_matrix
 from tms_model.parameters import WhippleParameters
 from tms_model.pose import fork_offset, steer_axis_foot
 
@@ -59,7 +59,7 @@ def urdf(
         mounting = _joint(robot, "imu_mounting", "fixed", "rear_frame", "imu_link", imu_position, 0.0, None)
         origin = mounting.find("origin")
         assert origin is not None
-        origin.set("rpy", _vector(_roll_pitch_yaw(rotation_matrix(imu_orientation))))
+        origin.set("rpy", _vector(roll_pitch_yaw(rotation_matrix(imu_orientation))))
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode") + "\n"
 
@@ -122,13 +122,6 @@ def _joint(
     if axis:
         SubElement(joint, "axis", xyz=axis)
     return joint
-
-
-def _roll_pitch_yaw(rotation: Array) -> Array:
-    pitch = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
-    return np.array(
-        [math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])]
-    )
 
 
 def _vector(values: Array) -> str:

@@ -39,6 +39,7 @@ CHECKS: dict[str, Callable[[Survey], Iterable[Finding]]] = {
     "rate_units": sensor.rate_units,
     "gyro_bias": sensor.gyro_bias,
     "gravity_direction": mounting.gravity_direction,
+    "strike_axis": mounting.strike_axis,
     "alignment": mounting.alignment,
 }
 

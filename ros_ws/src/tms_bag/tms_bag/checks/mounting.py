@@ -1,4 +1,4 @@
-"""Checks of how the sensor sits on the bicycle: by gravity during the run, and by poses at rest.
+"""Checks of how the sensor sits on the bicycle: by gravity and strikes during the run, and by poses at rest.
 
 A pose says which axis of the bicycle (REP-103: x forward, y left, z up) pointed up while nothing moved. The
 rotation from the sensor to the bicycle is that which brings the readings closest to these axes: G. Wahba,
@@ -12,12 +12,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tms_model.frames import rotation_matrix
+from tms_model.frames import matrix_quaternion, quaternion, rotation_matrix
 
 from tms_bag.checks.finding import ERROR, NOTE, WARNING, Finding
 from tms_bag.checks.poses import AXES, RestPose, direction
+from tms_bag.checks.run import onwards
 from tms_bag.checks.sensor import GRAVITY
 from tms_bag.checks.survey import Survey
+from tms_bag.errors import RecordingError
+from tms_bag.imu_mounting import ImuMounting, imu_mounting
 from tms_bag.samples import FloatArray
 
 LEVEL = 5.0  # [deg] that a sensor may be off before it's worth a word
@@ -44,7 +47,7 @@ def aligned(poses: Sequence[RestPose]) -> Alignment:
     cosine = np.clip(np.sum(up * (seen @ rotation.T), axis=1), -1.0, 1.0)
     # With three directions the third singular value says whether a mirror image would fit better.
     return Alignment(
-        quaternion=_quaternion(rotation),
+        quaternion=matrix_quaternion(rotation),
         misfit=np.arccos(cosine),
         mirrored=bool(handed < 0.0 and sizes[2] > 0.1),
         complete=bool(sizes[1] > 0.1),
@@ -81,7 +84,8 @@ def gravity_direction(survey: Survey) -> Iterator[Finding]:
             "say how the sensor sits (imu_mounting of run_info; imu_orientation in a mapping), or let"
             " the driver give"
             " +9.81 upwards at rest (REP-145)",
-            values=values,
+            _command(survey),
+            values,
         )
     elif tilt > 30.0:
         axis = AXES[int(np.argmax(np.abs(up)))]
@@ -93,7 +97,7 @@ def gravity_direction(survey: Survey) -> Iterator[Finding]:
             "what is taken for the lean rate is another rate",
             "say how the sensor sits (imu_mounting of run_info; imu_orientation in a mapping); poses at"
             " rest tell it",
-            f"./tms bag check {survey.path} --rest-pose z=UPRIGHT --rest-pose x=FRONT_WHEEL_UP",
+            _command(survey),
             values,
         )
     elif tilt > LEVEL:
@@ -104,9 +108,59 @@ def gravity_direction(survey: Survey) -> Iterator[Finding]:
             f"{100 * np.sin(np.radians(tilt)):.0f} % of the yaw rate show in the lean rate",
             "say how the sensor sits (imu_mounting of run_info; imu_orientation in a mapping); poses at"
             " rest tell it",
-            f"./tms bag check {survey.path} --rest-pose z=UPRIGHT --rest-pose x=FRONT_WHEEL_UP",
+            _command(survey),
             values,
         )
+
+
+def strike_axis(survey: Survey) -> Iterator[Finding]:
+    """Whether sudden changes of the angular velocity are about x, with the right sign of yaw against lean."""
+    found = _found(survey)
+    if found is None or not found.turned:
+        return
+    degrees = float(np.degrees(found.heading))
+    backwards = abs(degrees) > 160.0
+    values = {
+        "imu_orientation": found.quaternion.tolist(),
+        "heading": found.heading,
+        "heading_std": found.heading_std,
+        "changes": found.change_count,
+    }
+    yield Finding(
+        ERROR,
+        survey.imu_topic or "",
+        f"{found.change_count} sudden changes of the angular velocity and the sign of yaw against lean show x"
+        f" {abs(degrees):.0f} deg to the {'left' if degrees > 0.0 else 'right'} of where it"
+        f" {'is stated' if survey.run_info is not None else 'is taken, since nobody says how it sits'}"
+        f"{': the sensor faces backwards' if backwards else ''}",
+        "the lean rate has the wrong sign against the yaw rate"
+        if backwards
+        else "what is taken for the lean rate is in part or wholly another rate: strikes are missed",
+        f"state roll, pitch, yaw of the sensor as found, {found.text} deg: {found.evidence}",
+        f"{onwards(survey)} {found.flag}",
+        values,
+    )
+
+
+def _found(survey: Survey) -> ImuMounting | None:
+    """How the sensor sits, by gravity and strikes; None where the run doesn't show it."""
+    if survey.imu is None:
+        return None
+    info = survey.run_info
+    said = info is not None and abs(float(np.linalg.norm(info.imu_orientation)) - 1.0) < 1e-6
+    stated = info.imu_orientation if info is not None and said else quaternion(0.0, 0.0, 0.0)
+    try:
+        return imu_mounting(survey.imu, survey.speed, stated)
+    except RecordingError:
+        return None
+
+
+def _command(survey: Survey) -> str:
+    """The fit with the orientation that gravity and strikes show, else the check with poses at rest."""
+    found = _found(survey)
+    if found is not None and found.tilted:
+        return f"{onwards(survey)} {found.flag}"
+    return f"./tms bag check {survey.path} --rest-pose z=UPRIGHT --rest-pose x=FRONT_WHEEL_UP"
 
 
 def alignment(survey: Survey) -> Iterator[Finding]:
@@ -117,13 +171,13 @@ def alignment(survey: Survey) -> Iterator[Finding]:
     found = aligned(poses)
     sizes = [float(np.linalg.norm(pose.force)) for pose in poses]
     worst = float(np.degrees(found.misfit.max()))
-    quaternion = [float(value) for value in found.quaternion]
-    text = ", ".join(f"{value:.4f}" for value in quaternion)
+    turn = [float(value) for value in found.quaternion]
+    text = ", ".join(f"{value:.4f}" for value in turn)
     fits = ", ".join(
         f"{pose.name} {np.degrees(off):.1f} deg, {size:.2f} m/s^2"
         for pose, off, size in zip(poses, found.misfit, sizes, strict=True)
     )
-    values = {"imu_orientation": quaternion, "misfit": found.misfit.tolist(), "gravity": sizes}
+    values = {"imu_orientation": turn, "misfit": found.misfit.tolist(), "gravity": sizes}
     if found.mirrored:
         yield Finding(
             ERROR,
@@ -158,18 +212,3 @@ def alignment(survey: Survey) -> Iterator[Finding]:
             "calibrate it with six poses, each axis up and down",
             values={"gravity": sizes},
         )
-
-
-def _quaternion(rotation: FloatArray) -> FloatArray:
-    """x, y, z, w of a rotation matrix, w positive: the eigenvector of Bar-Itzhack, doi:10.2514/2.4654."""
-    m = rotation
-    k = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
-    )  # fmt: skip
-    vector = np.linalg.eigh(k / 3.0)[1][:, -1]
-    return np.asarray(vector if vector[3] >= 0.0 else -vector)

@@ -11,7 +11,7 @@ from tms_bag.nodes.parameters import declare
 from tms_model.errors import ParameterError
 
 from tms_fit.settings import OPTIONS, Option, Settings
-from tms_fit.settings_parser import assignment, each_once, prior
+from tms_fit.settings_parser import angles, assignment, each_once, prior
 
 SMALLEST_POSITIVE = 1e-9  # lower limit of a parameter that must be positive
 
@@ -32,6 +32,8 @@ def _declare(node: Node, one: Option) -> Any:
         return declare(node, one.parameter, [0.0], _description(one, "0"))
     if one.kind == "choice":
         return declare(node, one.parameter, one.default, one.text)
+    if one.kind == "angles":
+        return declare(node, one.parameter, "", _description(one, "empty", ", as ROLL,PITCH,YAW"))
     written = {"values": ", as NAME=VALUE", "priors": ", as NAME=MEAN,STD"}.get(one.kind, "")
     return declare(node, one.parameter, list(one.default or [""]), _description(one, "empty", written))
 
@@ -46,10 +48,15 @@ def _read(one: Option, value: Any) -> Any:
         return value or one.default
     if one.kind == "choice":
         return value
+    where = f"parameter {one.parameter}"
+    if one.kind == "angles":
+        try:
+            return angles(value) if value else one.default
+        except ArgumentTypeError as error:
+            raise ParameterError(f"{where}: {error}") from error
     given = [item for item in value if item]
     if one.kind in ("names", "numbers"):
         return tuple(given) or one.default
-    where = f"parameter {one.parameter}"
     read: Callable[[str], tuple[str, Any]] = assignment if one.kind == "values" else prior
     try:
         return each_once([read(text) for text in given], where)

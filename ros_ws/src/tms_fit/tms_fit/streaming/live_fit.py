@@ -14,7 +14,7 @@ from tms_bag.samples import RunInfo
 from tms_model import Bicycle, ParameterError, load_bicycle
 
 from tms_fit.estimators import check_names
-from tms_fit.gyroscopes import orientation_of
+from tms_fit.imu_orientation import live_orientation
 from tms_fit.kalman.ekf import PARAMETER_STATES
 from tms_fit.messages import estimate_records, filter_state_record
 from tms_fit.run_info import stated_bicycle
@@ -51,7 +51,7 @@ class LiveFit:
         reorder_window: float = REORDER_WINDOW_S,
         preview_period: float = PREVIEW_PERIOD_S,
     ) -> None:
-        """Raises ParameterError for an unknown bicycle or estimator.
+        """Raises ParameterError for an unknown bicycle or estimator, and for the imu_orientation auto.
 
         bicycle: name or file; empty: the one that run_info states. reorder_window, preview_period [s]: see
         `LiveRun`.
@@ -59,6 +59,7 @@ class LiveFit:
         self.settings = settings
         self._reorder_window, self._preview_period = reorder_window, preview_period
         check_names(settings.estimators)
+        live_orientation(None, settings)  # refuses auto
         self._given = load_bicycle(bicycle) if bicycle else None
         self._announced: Bicycle | None = None  # by run_info, which is never opened as a file
         self.counts: Counter[str] = Counter()
@@ -162,7 +163,7 @@ class LiveFit:
             self._run = LiveRun(
                 bicycle,
                 self.settings,
-                orientation_of(self._info),
+                live_orientation(self._info, self.settings),
                 speed,
                 reorder_window=self._reorder_window,
                 preview_period=self._preview_period,
