@@ -89,6 +89,7 @@ def test_an_orientation_is_three_finite_angles(text: str) -> None:
 @pytest.mark.parametrize("text", ["upright", "0,0,x", "", "0;0;90"])
 def test_an_orientation_is_of_numbers_or_auto(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert parsed("--imu-orientation", "auto").imu_orientation == "auto"
+    assert parsed("--imu-orientation", "-90,0,180").imu_orientation == (-90.0, 0.0, 180.0)
     assert parsed("--imu-orientation=-90,0,180").imu_orientation == (-90.0, 0.0, 180.0)
     with pytest.raises(SystemExit):
         parsed("--imu-orientation", text)

@@ -45,6 +45,7 @@ LARGEST_RATE = 2.5  # [rad/s] of a response; a bicycle that falls down is faster
 TIPPING = 10.0  # g / h [1/s^2] of a centre of mass 1 m above the floor
 LEAST_EVIDENCE = np.log(3.0)  # logarithm of the ratio of residual sums that one response needs
 MOST_EVIDENCE = np.log(10.0)  # that one response counts for at most
+LEAN_STD = 0.2  # [rad] of the lean at a strike
 STD_FLOOR = np.radians(2.0)  # [rad] of the axis; frames flex, and strikes are not purely sideways
 TILT_FLOOR = np.radians(1.0)  # [rad] of the vertical; a bicycle leans on the average
 SAME = np.radians(5.0)  # [rad] within which an orientation is that which is stated, or one along the axes
@@ -235,16 +236,17 @@ def _stretch_means(time: FloatArray, values: FloatArray, first: float, last: flo
 def _sudden_changes(
     time: FloatArray, level: FloatArray, moving: NDArray[np.bool_]
 ) -> tuple[FloatArray, IntArray, float]:
-    """Changes (m, 2) [rad/s] of the horizontal angular velocity that stand out, their rows, the usual size.
+    """Changes (m, 3) [rad/s] whose horizontal part stands out, their rows, and the usual size of that part.
 
-    level: angular velocity (n, 3), the last about the vertical. In a tight turn the yaw rate of a leaning
-    bicycle is about its pitch axis, too; changes there are left out.
+    level: angular velocity (n, 3), the last about the vertical. The yaw rate of a leaning bicycle is about
+    its pitch axis, too: changes in tight turns, and those that are mostly of the yaw rate, are left out.
     """
     before = _stretch_means(time, level, -FAR_S, -NEAR_S)
-    change = (_stretch_means(time, level, NEAR_S, FAR_S) - before)[:, :2]
-    size = np.linalg.norm(change, axis=1)
+    change = _stretch_means(time, level, NEAR_S, FAR_S) - before
+    size = np.linalg.norm(change[:, :2], axis=1)
     known = np.isfinite(size)
     straight = np.abs(np.where(known, before[:, 2], np.inf)) < TIGHT_TURN
+    straight &= np.abs(change[:, 2]) < size
     usual = float(np.median(size[known])) if known.any() else np.inf
     least = max(LEAST_CHANGE, NOISE_FACTOR * usual)
     candidates = np.flatnonzero(straight & moving & (np.where(known, size, 0.0) > least))
@@ -263,7 +265,7 @@ def _sudden_changes(
 
 
 def _roll_axis(changes: FloatArray, noise: float) -> tuple[float, float]:
-    """Angle [rad] of the axis of the changes (m, 2), and its standard deviation.
+    """Angle [rad] of the axis of the changes (m, 3) about the vertical, and its standard deviation.
 
     noise: median size of all changes [rad/s].
     """
@@ -274,9 +276,11 @@ def _roll_axis(changes: FloatArray, noise: float) -> tuple[float, float]:
             f" {len(changes)} about different axes; state its orientation"
         )
     scatter = 0.5 * np.sqrt(max(-2.0 * np.log(min(abs(mean), 1.0)), 0.0))
-    expected: FloatArray = (
-        noise / np.sqrt(2.0 * np.log(2.0)) / np.linalg.norm(changes, axis=1)
-    )  # Rayleigh's median
+    size = np.linalg.norm(changes[:, :2], axis=1)
+    expected = np.hypot(
+        noise / np.sqrt(2.0 * np.log(2.0)) / size,  # of white noise, by Rayleigh's median
+        LEAN_STD * changes[:, 2] / size,  # of yaw about the pitch axis
+    )
     std = max(scatter, float(np.sqrt(np.mean(expected**2)))) / np.sqrt(len(changes))
     return float(0.5 * np.angle(mean)), float(np.hypot(STD_FLOOR, std))
 

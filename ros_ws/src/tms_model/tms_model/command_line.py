@@ -6,14 +6,32 @@ import argparse
 import json
 import math
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
+NEGATIVE_LIST = re.compile(r"-[0-9.]+(,[-+0-9.e]+)+")  # of numbers, which argparse takes for a flag
+
 
 class Parser(argparse.ArgumentParser):
-    """An ArgumentParser whose errors are one line, with the command to type for help."""
+    """An ArgumentParser whose errors are one line, and to which -90,0,180 is a value and no flag."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does, a list of numbers that begins with a minus sign joined to the flag before it."""
+        words: list[str] = []
+        for word in sys.argv[1:] if args is None else args:
+            if (
+                words
+                and words[-1].startswith("--")
+                and "=" not in words[-1]
+                and NEGATIVE_LIST.fullmatch(word)
+            ):
+                words[-1] += f"={word}"
+            else:
+                words.append(word)
+        return super().parse_known_args(words, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Say in one line what is wrong with the arguments and leave with exit code 2."""
