@@ -166,6 +166,17 @@ FAULTS: dict[str, list[tuple[Callable[[Run], Run | list[Record]], str]]] = {
         (lambda run: replace(run, speed=None), NOTE),
         (lambda run: replace(run, speed=None, info=None), ERROR),
     ],
+    "speed_topic": [
+        (lambda run: renamed(run.records(), {"/bicycle/speed": "/wheel/speed"}), NOTE),
+        (lambda run: renamed(run.records(), {"/bicycle/speed": "/cmd_vel"}), NOTE),
+        (
+            lambda run: [
+                *renamed(run.records(), {"/bicycle/speed": "/wheel/speed"}),
+                *renamed(conversion.speed_records(run.speed), {"/bicycle/speed": "/belt/speed"}),
+            ],
+            ERROR,
+        ),
+    ],
     "speed_values": [
         (lambda run: speed_of(run, lambda speed: 0.0 * speed), ERROR),
         (lambda run: speed_of(run, lambda speed: -speed), ERROR),

@@ -273,9 +273,10 @@ def test_estimate_message_says_what_the_estimate_is(recorded: Any) -> None:
         assert abs(stamp - run.info.start_ns - 1_503_700_000) < 5_000_000
         first = message.window_start.sec * SECOND + message.window_start.nanosec
         assert first == strike.strike.time_ns
-        values = {entry.key: float(entry.value) for entry in message.diagnostics}
-        assert values["residual_std"] == estimate.residual_std
-        assert values["speed"] == strike.window.start_speed
+        values = {entry.key: entry.value for entry in message.diagnostics}
+        assert float(values["residual_std"]) == estimate.residual_std
+        assert float(values["speed"]) == strike.window.start_speed
+        assert values["speed_source"] == "measured"
 
 
 def test_samples_wait_for_the_run_to_be_announced(make_run: Any) -> None:

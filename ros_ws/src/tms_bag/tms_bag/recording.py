@@ -24,6 +24,7 @@ from tms_bag.samples import (
     SteerTorqueSamples,
     in_time_order,
 )
+from tms_bag.speed_topic import NO_TOPIC, SpeedTopic, find_speed_topic
 
 _DECODERS: dict[str, Callable[[Columns], Any]] = {
     topics.IMU: conversion.imu_samples,
@@ -35,7 +36,6 @@ _DECODERS: dict[str, Callable[[Columns], Any]] = {
 }
 FLAGS = {
     topics.IMU: "--imu-topic",
-    topics.SPEED: "--speed-topic",
     topics.STEER_TORQUE: "--steer-torque-topic",
 }
 
@@ -55,6 +55,7 @@ class Recording:
     custom_data: dict[str, str]
     duplicates: int = 0  # samples left out because the topic has an earlier one with the same time
     warnings: tuple[str, ...] = ()  # what is wrong with the bag itself, for example that it's cut short
+    speed_topic: SpeedTopic = NO_TOPIC  # of a bag; where no topic was taken, those that were not
 
 
 def read_recording(
@@ -66,22 +67,21 @@ def read_recording(
     """Recording from a bag. Times are those of the messages (`header.stamp`), not of their arrival.
 
     Without a name given, a topic is found by its type and the end of its name ('/imu/data_raw',
-    '/bike1/imu/data_raw'); the others are then those of the same namespace. RecordingError, with the topics
-    that are there and the flag to use, if there is no IMU or a choice to make.
+    '/bike1/imu/data_raw'); the others are then those of the same namespace. The only topic of a measured
+    speed under another name is taken too, of several none; `speed_topic.remark` says so.
+    RecordingError, with the topics that are there and the flag to use, if there is no IMU or a choice to
+    make.
     """
     with BagReader(path) as bag:
         imu_name = find_topic(bag, topics.IMU, imu_topic)
         if imu_name is None:
             raise RecordingError(_missing(bag, topics.IMU))
         space = imu_name.removesuffix(topics.IMU) if imu_name.endswith("/" + topics.IMU) else "/"
-        speed_name = find_topic(bag, topics.SPEED, speed_topic, space)
+        speeds = find_speed_topic(bag, speed_topic, space)
         torque_name = find_topic(bag, topics.STEER_TORQUE, steer_torque_topic, space)
-        names = {
-            topic: find_topic(bag, topic, None, space)
-            for topic in (topics.LEAN_YAW, topics.STATE, topics.SPEED_COVARIANCE)
-        }
+        names = {topic: find_topic(bag, topic, None, space) for topic in (topics.LEAN_YAW, topics.STATE)}
         info_name = find_topic(bag, topics.RUN_INFO, None, space)
-        names |= {topics.IMU: imu_name, topics.SPEED: speed_name, topics.STEER_TORQUE: torque_name}
+        names |= {topics.IMU: imu_name, speeds.kind: speeds.name, topics.STEER_TORQUE: torque_name}
         found = _samples_of(bag, {name: topic for topic, name in names.items() if name})
         if topics.IMU not in found:
             raise RecordingError(
@@ -89,11 +89,8 @@ def read_recording(
                 f" damaged; `tms bag repair {bag.path} -o NEW` saves what is there"
             )
         imu, repeated = found[topics.IMU]
-        speed, repeated_speed = found.get(topics.SPEED, (None, 0))
+        speed, repeated_speed = found.get(speeds.kind, (None, 0))
         torque, repeated_torque = found.get(topics.STEER_TORQUE, (None, 0))
-        known = found.get(topics.SPEED_COVARIANCE)
-        if known and (speed is None or speed_topic is None):  # the same speeds, with their variance
-            speed, repeated_speed = known
         return Recording(
             path=Path(path),
             imu=imu,
@@ -106,6 +103,7 @@ def read_recording(
             custom_data=bag.custom_data,
             duplicates=repeated + repeated_speed + repeated_torque,
             warnings=bag.warnings,
+            speed_topic=speeds,
         )
 
 

@@ -57,6 +57,9 @@ def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
         diagnostics["start_std"] = fit.window.delay_std
         diagnostics["speed"] = estimate.complete.get("speed", fit.speed)
         diagnostics["lean_rate_gain"] = fit.window.lean_rate_gain
+    texts = {key: repr(float(value)) for key, value in diagnostics.items()}
+    if fit.window is not None and fit.window.speed.source:
+        texts["speed_source"] = fit.window.speed.source
     return message_type(ESTIMATE_TYPE)(
         header=_header(fit.start_ns),
         window_start=_time(fit.strike.time_ns),
@@ -74,7 +77,7 @@ def estimate_message(fit: StrikeFit, estimate: Estimate) -> Any:
         sample_count=estimate.sample_count,
         channels=list(estimate.vaf),
         vaf=np.array(list(estimate.vaf.values()), dtype=float),
-        diagnostics=[key_value(key=key, value=repr(float(value))) for key, value in diagnostics.items()],
+        diagnostics=[key_value(key=key, value=value) for key, value in texts.items()],
     )
 
 

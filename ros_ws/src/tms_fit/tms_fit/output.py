@@ -9,10 +9,12 @@ from typing import Any
 from tms_fit.diagnostics.output import diagnostics_json, diagnostics_lines, residual_tests_json
 from tms_fit.diagnostics.stated_noise import StatedNoise, stated_noise
 from tms_fit.estimate import Estimate, Status
+from tms_fit.fit_warnings import fit_warnings
 from tms_fit.least_squares.make_estimate import AUTOCORRELATION_WARNING
 from tms_fit.parameters import DEFAULT_FREE
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.settings import Settings
+from tms_fit.speed_source import speed_json, speed_sentence
 from tms_fit.strike_fit import StrikeFit
 from tms_fit.strikes.strike import Strike
 from tms_fit.strikes.thresholds import StrikeThresholds
@@ -34,8 +36,9 @@ def to_json(fit: RecordingFit, asked: Collection[str] = ()) -> dict[str, Any]:
         "rejected": [
             {"time_ns": one.time_ns, "lean_rate_change": one.change, "why": one.why} for one in fit.rejected
         ],
+        "speed_source": speed_json(fit.recording, fit.settings),
         "recording": dict(fit.recording.custom_data),
-        "warnings": list(fit.recording.warnings),
+        "warnings": fit_warnings(fit),
     }
 
 
@@ -51,6 +54,7 @@ def _strike(
         "detection": _detection(fit.strike),
         "start_std": window.delay_std if window else None,
         "speed": fit.speed if window else None,
+        "speed_source": window.speed.source or None if window else None,
         "lean_rate_gain": window.lean_rate_gain if window else None,
         "estimates": [
             {**_estimate(one), "criticism": residual_tests_json(window, one, stated) if window else None}
@@ -107,7 +111,8 @@ def _end(value: float) -> float | None:
 def to_table(fit: RecordingFit, asked: Collection[str] = ()) -> str:
     """Table with one line per strike and estimator, reasons of detection, and signs of misspecification."""
     lines = [f"{fit.recording.path}: bicycle {fit.bicycle.name}, {len(fit.strikes)} strikes"]
-    lines += [f"warning: {warning}" for warning in fit.recording.warnings]
+    lines.append(speed_sentence(fit.recording, fit.settings))
+    lines += [f"warning: {warning}" for warning in fit_warnings(fit)]
     if fit.strikes:
         lines.append(
             f"{'start [s]':>10} {'speed':>7}  {'estimator':14} {'initial lean rate [rad/s]':>38}"

@@ -21,6 +21,7 @@ from tms_fit.imu_orientation import with_orientation
 from tms_fit.run_info import stated_bicycle
 from tms_fit.segment import FreeResponse
 from tms_fit.settings import Settings
+from tms_fit.speed_source import check_speed, nominal_speed
 from tms_fit.streaming.samples import Samples
 from tms_fit.streaming.synchronizer import SampleSynchronizer
 from tms_fit.streaming.tracker import StrikeTracker
@@ -92,7 +93,7 @@ def synchronize(recording: Recording, settings: Settings, progress: Progress | N
     info = recording.run_info
     gyroscopes = Gyroscopes(orientation_of(info), settings.gyroscope_range)
     synchronizer = SampleSynchronizer(gyroscopes, 0.0, settings.fixed.get("speed"))
-    samples = Samples(synchronizer.speed, _nominal_speed(recording, settings))
+    samples = Samples(synchronizer.speed, nominal_speed(recording, settings))
     imu, speed, torque, flags = recording.imu, recording.speed, recording.steer_torque, recording.lean_yaw
     x, y, z = imu.angular_velocity_variance.tolist()
     times, kinds, rows = _in_time_order(recording)
@@ -154,21 +155,10 @@ def first_stamp(recording: Recording) -> int:
     return min(stamps + ([recording.run_info.start_ns] if recording.run_info else []))
 
 
-def _nominal_speed(recording: Recording, settings: Settings) -> float:
-    """Speed [m/s] where none is measured: of the settings, else of the run_info; NaN: unknown."""
-    stated = settings.stated_speed
-    info = recording.run_info
-    return stated if np.isfinite(stated) or info is None else info.speed
-
-
 def _check_measurements(recording: Recording, settings: Settings) -> None:
     """Raise RecordingError without a speed or a rotation rate."""
     speed, path = recording.speed, recording.path
-    if speed is None and not np.isfinite(_nominal_speed(recording, settings)):
-        raise RecordingError(
-            f"{path}: expected a topic bicycle/speed, found none; use --fix speed=V [m/s], or"
-            " --prior speed=MEAN,STD where it is to be found"
-        )
+    check_speed(recording, settings)
     if speed is not None and "speed" not in settings.fixed and not (speed.speed > 0.0).any():
         raise RecordingError(
             f"{path}: expected a positive forward speed, found at most {np.fmax.reduce(speed.speed):g} m/s;"

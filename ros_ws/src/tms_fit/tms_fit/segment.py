@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,15 @@ from tms_model.acceleration import coasting_loss
 from tms_model.bicycle import Array
 
 from tms_fit.settings import Settings
-from tms_fit.speed_profile import SpeedProfile, constant_speed, fit_speed_profile
+from tms_fit.speed_profile import (
+    FIXED,
+    MEASURED,
+    NOMINAL,
+    PRIOR,
+    SpeedProfile,
+    constant_speed,
+    fit_speed_profile,
+)
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.strikes.window_end import WindowEnd
 from tms_fit.window import Window, make_window
@@ -59,20 +67,21 @@ class FreeResponse:
 def segment_window(segment: Segment, bicycle: Bicycle, settings: Settings) -> Window:
     """Window of a segment. Raises ParameterError where the speed isn't known."""
     torque = segment.steer_torque if np.isfinite(segment.steer_torque).any() else None
-    speed = _speed(segment, bicycle, settings)
+    source, speed = _speed(segment, bicycle, settings)
+    speed = replace(speed, source=source)
     return make_window(
         bicycle, settings, segment.time_ns, segment.angular_velocity, speed, torque, segment.flagged
     )
 
 
-def _speed(segment: Segment, bicycle: Bicycle, settings: Settings) -> SpeedProfile:
-    """The fixed speed, else the measured one, else the nominal one."""
+def _speed(segment: Segment, bicycle: Bicycle, settings: Settings) -> tuple[str, SpeedProfile]:
+    """The fixed speed, else the measured one, else the nominal one, and which of these it is."""
     if "speed" in settings.fixed:
-        return constant_speed(settings.fixed["speed"])
+        return FIXED, constant_speed(settings.fixed["speed"])
     speed = measured(segment.speed, SPEED_LIMIT)
     if np.isfinite(speed).any():
         first_ns = segment.time_ns[0]
-        return fit_speed_profile(
+        return MEASURED, fit_speed_profile(
             (segment.speed_time_ns - first_ns) / NANOSECONDS,
             speed,
             segment.speed_variance,
@@ -84,4 +93,4 @@ def _speed(segment: Segment, bicycle: Bicycle, settings: Settings) -> SpeedProfi
         raise ParameterError(
             "speed: expected a topic bicycle/speed or a known speed, found none; use --fix speed=V"
         )
-    return constant_speed(segment.nominal_speed)
+    return PRIOR if "speed" in settings.priors else NOMINAL, constant_speed(segment.nominal_speed)

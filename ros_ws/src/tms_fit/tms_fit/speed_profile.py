@@ -27,6 +27,7 @@ UNSTATED_STD_SHARE = 0.01  # standard deviation of a single speed without a stat
 LEAST_SCATTER = 1e-4  # [m/s], standard deviation of a speedometer's samples, at least
 SPEED_STALE_AFTER_S = 3.0  # [s] after a measurement: whether the bicycle coasted all along is then unknown
 STALE_STD_SHARE = 0.3  # standard deviation of a stale speed, per speed
+FIXED, MEASURED, PRIOR, NOMINAL = "fixed", "measured", "prior", "run_info"  # sources of a speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,7 @@ class SpeedProfile:
     origin: float = 0.0  # [s]
     extrapolated: bool = False  # a straight line from the measurement at `origin`: its slope is assumed
     is_stale: bool = False  # the measurement is too old: its value at the window's start is a guess
+    source: str = ""  # fixed, measured, prior or run_info; empty: not stated
 
     @property
     def constant(self) -> bool:

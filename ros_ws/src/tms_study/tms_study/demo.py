@@ -20,9 +20,11 @@ from tms_fit.output import to_json
 from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import Settings
 from tms_fit.streaming.live_fit import INPUTS
+from tms_fit.strike_fit import StrikeFit
 from tms_model.atomic_write import atomic_write
 from tms_model.command_line import finite
 from tms_model.figures.saving import save_figure
+from tms_sim.run import SimulatedRun, simulate
 from tms_sim.scenario import load_scenario
 
 from tms_study.processes import NodeProcess, own_domain
@@ -51,7 +53,8 @@ def demo(output: Path, scenario: str, seed: int) -> str:
         atomic_write(folder / "estimate.json", (json.dumps(finite(document), indent=1) + "\n").encode())
         save_figure(figure_3b(fit), folder / "figure_3b.png")
         live = _live_estimates(folder / "live")
-    return _table(fit, live, output)
+    run = simulate(load_scenario(scenario, {"seed": seed}), np.random.default_rng(seed))
+    return _table(fit, live, run, output)
 
 
 @contextmanager
@@ -144,7 +147,10 @@ def _live_estimates(bag: Path) -> dict[str, tuple[float, float, float]]:
     """Initial lean rate and interval of the first strike, by estimator."""
     found: dict[str, tuple[float, float, float]] = {}
     with BagReader(bag) as reader:
-        for record in reader.records([f"/{ESTIMATE}"]):
+        there = [
+            topic.name for topic in reader.topics if topic.name == f"/{ESTIMATE}"
+        ]  # none: not written yet
+        for record in reader.records(there) if there else ():
             message = deserialize(record.data, ESTIMATE_TYPE)
             if message.final and "initial_lean_rate" in message.names and message.estimator not in found:
                 i = message.names.index("initial_lean_rate")
@@ -152,12 +158,13 @@ def _live_estimates(bag: Path) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def _table(fit: RecordingFit, live: dict[str, tuple[float, float, float]], output: Path) -> str:
+def _table(
+    fit: RecordingFit, live: dict[str, tuple[float, float, float]], run: SimulatedRun, output: Path
+) -> str:
     strike = fit.strikes[0]
-    state = fit.recording.state
-    assert state is not None
-    true = float(state.state[np.searchsorted(state.time_ns, strike.strike.time_ns), 2])
-    lines = ["", f"initial lean rate [rad/s], {fit.bicycle.name}", f"  {'true':24} {true:9.5f}"]
+    when, true = true_lean_rate(run, strike)
+    lines = ["", f"initial lean rate [rad/s], {fit.bicycle.name}"]
+    lines.append(f"  {'true':24} {true:9.5f}   at {when:.4f} s, the start of the free response")
     for estimate in strike.estimates:
         index = estimate.names.index("initial_lean_rate")
         value, (low, high) = estimate.values[index], estimate.ci95[index]
@@ -175,6 +182,21 @@ def _table(fit: RecordingFit, live: dict[str, tuple[float, float, float]], outpu
     width = max(len(str(output / name)) for name in texts)
     lines += [f"  {output / name!s:{width}}  {text}" for name, text in texts.items()]
     return "\n".join(lines)
+
+
+def true_lean_rate(run: SimulatedRun, strike: StrikeFit) -> tuple[float, float]:
+    """Instant [s since the run's start] that an initial lean rate is about, and the true lean rate there.
+
+    The instant is the true end of the impulse where the fit estimates it, with its uncertainty in the
+    interval, or where the free response was taken to begin earlier; else the start of the free response. The
+    state in the bag can't tell: between two of its samples the lean rate changes by up to 0.2 rad/s.
+    """
+    start = (strike.start_ns - run.info.start_ns) / 1e9
+    ends = [one.time + one.duration for one in run.trajectory.events if one.kind == "strike"]
+    end = min(ends, key=lambda one: abs(one - start), default=start)
+    uncertain = strike.window is not None and strike.window.delay_std > 0.0
+    instant = end if uncertain else max(start, end)
+    return instant, float(run.trajectory.at(np.array([instant])).lean_rate[0])
 
 
 def _say(text: str) -> None:

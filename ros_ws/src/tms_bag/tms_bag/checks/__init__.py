@@ -20,6 +20,7 @@ CHECKS: dict[str, Callable[[Survey], Iterable[Finding]]] = {
     "no_imu": run.no_imu,
     "no_bicycle": run.no_bicycle,
     "no_speed": run.no_speed,
+    "speed_topic": run.speed_topic,
     "speed_values": run.speed_values,
     "mixed_frames": run.mixed_frames,
     "too_short": run.too_short,

@@ -113,10 +113,45 @@ def no_speed(survey: Survey) -> Iterator[Finding]:
         yield Finding(
             ERROR,
             "",
-            "no topic of type geometry_msgs/msg/TwistStamped, and no run_info that names a speed",
+            "no topic with a measured speed (geometry_msgs/msg/TwistStamped), and no run_info that names one",
             "the bicycle's dynamics depend on its speed: nothing can be fitted without",
             "measure the speed, and give it by hand [m/s]",
             f"{onwards(survey)} --fix speed=V",
+        )
+
+
+def speed_topic(survey: Survey) -> Iterator[Finding]:
+    """A speed's topic of an unusual name, a choice to make, or a command that is no measurement."""
+    found = survey.found_speed
+    if not found.remark:
+        return
+    if found.candidates:
+        yield Finding(
+            ERROR,
+            survey.speed_topic or "",
+            found.remark,
+            "the fit takes none of them without the flag, and not the nominal speed in their place",
+            "name the one that was measured at the rear wheel or the treadmill",
+            onwards(survey),
+            {"topics": list(found.candidates)},
+        )
+    elif found.name:
+        yield Finding(
+            NOTE,
+            found.name,
+            found.remark,
+            "the fit takes it, and says so",
+            "make sure that its linear.x is the forward speed in m/s",
+            onwards(survey),
+        )
+    else:
+        yield Finding(
+            NOTE,
+            found.commands[0],
+            found.remark,
+            "a commanded speed is not what the bicycle rode at",
+            "record the measured speed",
+            values={"topics": list(found.commands)},
         )
 
 
@@ -237,7 +272,8 @@ def onwards(survey: Survey) -> str:
         words += ["--bicycle", "NAME"]
     if survey.imu_topic and (not survey.imu_topic.endswith("/imu/data_raw") or len(_raw(survey)) > 1):
         words += ["--imu-topic", survey.imu_topic]
-    if survey.speed_topic and not survey.speed_topic.endswith("/bicycle/speed"):
+    found = survey.found_speed
+    if survey.speed_topic and (found.candidates or found.chosen):
         words += ["--speed-topic", survey.speed_topic]
     return shlex.join(words)
 

@@ -23,6 +23,12 @@ from tms_bag.samples import (
     SpeedSamples,
     in_time_order,
 )
+from tms_bag.speed_topic import KINDS, NO_TOPIC, SpeedTopic, find_speed_topic
+
+SPEED_SAMPLES = {
+    topics.SPEED: conversion.speed_samples,
+    topics.SPEED_COVARIANCE: conversion.speed_covariance_samples,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +64,7 @@ class Survey:
     run_info: RunInfo | None
     imu_topics: tuple[str, ...] = ()  # all of the type
     speed_topics: tuple[str, ...] = ()
+    found_speed: SpeedTopic = NO_TOPIC  # what a fit takes without a flag, or with the one asked for
     poses: tuple[RestPose, ...] = ()  # the sensor at rest, from files of their own
 
     @property
@@ -88,13 +95,15 @@ def survey(
             frames = times.texts.get("header.frame_id", ())
             streams[topic.name] = Stream(topic.name, topic.type, times.log_time_ns, times.stamp_ns, frames)
         imu_topics = _of_type(streams, topics.IMU)
-        speed_topics = _of_type(streams, topics.SPEED)
+        speed_topics = _of_type(streams, topics.SPEED, topics.SPEED_COVARIANCE)
         imu_name = _chosen(bag, topics.IMU, imu_topic, imu_topics, streams)
-        speed_name = _chosen(bag, topics.SPEED, speed_topic, speed_topics, streams)
+        space = imu_name.removesuffix(topics.IMU) if imu_name and imu_name.endswith("/" + topics.IMU) else "/"
+        found_speed = find_speed_topic(bag, speed_topic, space)
+        speed_name, speed_kind = _readable_speed(found_speed, streams)
         info_name = find_topic(bag, topics.RUN_INFO) if _of_type(streams, topics.RUN_INFO) else None
         lean_name = next(iter(_of_type(streams, topics.LEAN_YAW)), None)
         imu = bag.columns({imu_name: conversion.FIELDS[topics.IMU]})[imu_name] if imu_name else None
-        speed = bag.columns({speed_name: conversion.FIELDS[topics.SPEED]})[speed_name] if speed_name else None
+        speed = bag.columns({speed_name: conversion.FIELDS[speed_kind]})[speed_name] if speed_name else None
         lean = bag.columns({lean_name: conversion.FIELDS[topics.LEAN_YAW]})[lean_name] if lean_name else None
         return Survey(
             path=Path(path),
@@ -104,18 +113,26 @@ def survey(
             imu_topic=imu_name,
             imu=in_time_order(conversion.imu_samples(imu))[0] if imu else None,
             speed_topic=speed_name,
-            speed=in_time_order(conversion.speed_samples(speed))[0] if speed else None,
+            speed=in_time_order(SPEED_SAMPLES[speed_kind](speed))[0] if speed else None,
             lean_yaw=in_time_order(conversion.lean_yaw_samples(lean))[0] if lean else None,
             run_info=run_info_of(bag, info_name) if info_name else None,
             imu_topics=imu_topics,
             speed_topics=speed_topics,
+            found_speed=found_speed,
             poses=tuple(poses),
         )
 
 
-def _of_type(streams: dict[str, Stream], topic: str) -> tuple[str, ...]:
-    kind = topics.TYPES[topic]
-    return tuple(stream.name for stream in streams.values() if stream.type == kind)
+def _of_type(streams: dict[str, Stream], *wanted: str) -> tuple[str, ...]:
+    kinds = [topics.TYPES[topic] for topic in wanted]
+    return tuple(stream.name for stream in streams.values() if stream.type in kinds)
+
+
+def _readable_speed(found: SpeedTopic, streams: dict[str, Stream]) -> tuple[str | None, str]:
+    """The speed's topic and its kind; of several candidates the one with most messages."""
+    there = [name for name in ((found.name,) if found.name else found.candidates) if name in streams]
+    name = max(there, key=lambda one: streams[one].log_ns.size, default=None)
+    return name, KINDS[streams[name].type] if name else topics.SPEED
 
 
 def _chosen(

@@ -42,7 +42,9 @@ def add_check(commands: Any) -> None:
         help=f"the CSV's columns: {', '.join(mapping_names())}, or a .yaml file",
     )
     flag("--imu-topic", metavar="NAME", help="the sensor's topic (default: imu/data_raw, else the busiest)")
-    flag("--speed-topic", metavar="NAME", help="the speed's topic (default: bicycle/speed, else the busiest)")
+    flag(
+        "--speed-topic", metavar="NAME", help="the speed's topic (default: bicycle/speed, else the only one)"
+    )
     flag(
         "--rest-pose",
         action="append",

@@ -21,6 +21,7 @@ from tms_fit.nodes.refit import estimates_of
 from tms_fit.nodes.requests import asked_for
 from tms_fit.recording_fit import RecordingFit, bicycle_of, fit_recording
 from tms_fit.settings import Settings
+from tms_fit.speed_source import speed_sentence
 
 POLL_PERIOD_S = 0.1  # between checks for finished fits
 
@@ -76,7 +77,7 @@ class BagFits:
             goal.succeed()
             result.success = True
             result.estimates = [message for strike in fit.strikes for message in estimates_of(strike)]
-            result.message = f"{len(fit.strikes)} strikes"
+            result.message = f"{len(fit.strikes)} strikes; {speed_sentence(fit.recording, fit.settings)}"
         return result
 
     def _fit(self, goal: ServerGoalHandle) -> RecordingFit:

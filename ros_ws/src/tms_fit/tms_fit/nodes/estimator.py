@@ -22,6 +22,8 @@ from tms_fit.messages import ESTIMATE, ESTIMATE_TYPE, FILTER_STATE, FILTER_STATE
 from tms_fit.nodes.bag_fits import BagFits
 from tms_fit.nodes.refit import offer_refit
 from tms_fit.nodes.settings import declare_settings
+from tms_fit.speed_profile import FIXED, MEASURED
+from tms_fit.speed_source import live_speed_sentence, other_speed_topics
 from tms_fit.streaming.live_fit import INPUTS, LiveFit
 
 QUEUE_DEPTH = 2000  # messages that arrive during a fit of a few tenths of a second
@@ -93,12 +95,23 @@ class Estimator(Node):
             text = "waiting for run_info, or set the parameter bicycle"
             if self._fit.counts["unknown_bicycle"]:
                 text = "run_info names no bicycle of the catalogue: set the parameter bicycle"
+        speed, speed_is_known = self._speed_report()
         lost = {f"{topic} lost": count for topic, count in self._intake.lost.items()}
         return (
-            text,
-            bool(self._fit.bicycle) and not lost,
+            f"{text}; {speed}" if speed else text,
+            bool(self._fit.bicycle) and not lost and speed_is_known,
             {**self._counts, **lost, **self._fit.parameter_states},
         )
+
+    def _speed_report(self) -> tuple[str, bool]:
+        """Which speed is used, once there are IMU samples; and whether no other topic may hold it."""
+        if not self._fit.bicycle or not self._fit.counts[topics.IMU]:
+            return "", True
+        source, others = self._fit.speed_source, []
+        if source not in (FIXED, MEASURED):
+            read = [self.resolve_topic_name(topic) for topic in (topics.SPEED, topics.SPEED_COVARIANCE)]
+            others = other_speed_topics(self.get_topic_names_and_types(), read)
+        return live_speed_sentence(source, topics.SPEED, others), not others
 
 
 def _wanted(topic: str) -> tuple[str, QoSProfile]:

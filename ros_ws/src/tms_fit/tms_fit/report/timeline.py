@@ -10,6 +10,7 @@ from tms_bag.samples import LeanYawSamples
 from tms_model.bicycle import Array
 from tms_model.frames import imu_to_rear_frame
 
+from tms_fit.fit_warnings import fit_warnings
 from tms_fit.gyroscopes import orientation_of
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.report.chart import Columns
@@ -19,6 +20,7 @@ from tms_fit.report.element import Element, element, table
 from tms_fit.report.rounding import fixed, typeset
 from tms_fit.report.section import Section
 from tms_fit.report.truth import true_events
+from tms_fit.speed_source import speed_sentence
 
 GAP = 1.5  # usual steps between samples; a longer one lacks some
 REJECTED = "looked at, no strike"
@@ -48,7 +50,11 @@ def timeline(fit: RecordingFit) -> Section:
     return Section(
         "recording",
         "The recording",
-        (_words(fit, gaps, lost), *(element("p", text, class_="caution") for text in fit.recording.warnings)),
+        (
+            _words(fit, gaps, lost),
+            element("p", f"{speed_sentence(fit.recording, fit.settings).capitalize()}."),
+            *(element("p", text, class_="caution") for text in fit_warnings(fit)),
+        ),
         (timeline_chart(kinds, fit.recording.state is not None),),
         tables=_rejected(fit, start),
         data=data,

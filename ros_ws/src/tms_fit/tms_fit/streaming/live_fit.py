@@ -132,6 +132,11 @@ class LiveFit:
         return bicycle.name if bicycle else ""
 
     @property
+    def speed_source(self) -> str:
+        """Source of the speed of this run: fixed, measured, prior or run_info; empty: there is none yet."""
+        return self._run.speed_source if self._run else ""
+
+    @property
     def diagnostics(self) -> dict[str, int]:
         """Numbers of messages processed, and left out, by reason."""
         return dict(self.counts + self._run.counts if self._run else self.counts)

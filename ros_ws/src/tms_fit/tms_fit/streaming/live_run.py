@@ -15,6 +15,7 @@ from tms_fit.gyroscopes import Gyroscopes, Vector
 from tms_fit.kalman.ekf import FilterStep, make_filter
 from tms_fit.segment import FreeResponse
 from tms_fit.settings import Settings
+from tms_fit.speed_profile import FIXED, MEASURED, NOMINAL, PRIOR
 from tms_fit.streaming.live_filter import LiveFilter
 from tms_fit.streaming.samples import Samples
 from tms_fit.streaming.synchronizer import Sample, SampleSynchronizer
@@ -93,6 +94,17 @@ class LiveRun:
     def rejected(self) -> list[Rejected]:
         """The latest changes that were rejected, with the reason."""
         return self._tracker.rejected
+
+    @property
+    def speed_source(self) -> str:
+        """Source of the speed so far: fixed, measured, prior or run_info; empty: there is none."""
+        if "speed" in self._settings.fixed:
+            return FIXED
+        if self._samples.speed.time:
+            return MEASURED
+        if "speed" in self._settings.priors:
+            return PRIOR
+        return NOMINAL if math.isfinite(self._samples.nominal_speed) else ""
 
     @property
     def counts(self) -> Counter[str]:
