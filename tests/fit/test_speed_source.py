@@ -79,7 +79,7 @@ def test_several_topics_are_listed_with_the_flag_to_type(bag_with: Any, refused:
     # A stated speed needs none of them.
     fixed = fit_recording(read_recording(path), settings=replace(QUICK, fixed={"speed": RATE}))
     assert fixed.strikes[0].speed == RATE
-    assert to_json(fixed)["warnings"] == []
+    assert not any("topic" in one for one in to_json(fixed)["warnings"])
 
 
 def test_speeds_that_begin_after_the_window_are_no_silent_reason_for_the_nominal_one(run: Any) -> None:

@@ -72,7 +72,8 @@ def comparison(fit: RecordingFit, number: int = 1) -> Comparison:
     shown = _foreseeable(_shown_window(fit, number, used), used, estimate)
     predicted, slopes = predict_by(shown, estimate)
     # Student's t, as in the interval of the estimate.
-    std = np.sqrt(np.einsum("nci,ij,ncj->nc", slopes, estimate.covariance, slopes))
+    variance = np.einsum("nci,ij,ncj->nc", slopes, estimate.covariance, slopes)
+    std = np.sqrt(np.maximum(variance, 0.0))  # rounding leaves less than none where the response grows fast
     before_time, before = _before(fit, strike)
     return Comparison(
         strike=strike,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from tms_fit.diagnostics.remarks import estimate_remarks
 from tms_fit.recording_fit import RecordingFit, first_stamp
 from tms_fit.speed_profile import FIXED
-from tms_fit.speed_source import recording_source, speed_remark
+from tms_fit.speed_source import recording_source
 from tms_fit.strike_fit import StrikeFit
 
 
@@ -22,8 +23,5 @@ def fit_warnings(fit: RecordingFit) -> list[str]:
 
 
 def strike_warnings(strike: StrikeFit) -> list[str]:
-    """What the estimates of one strike assume that was not measured."""
-    if strike.window is None or "speed" in strike.estimates[0].names:
-        return []
-    remark = speed_remark(strike.window)
-    return [remark] if remark else []
+    """What the first estimate of a strike assumes that was not measured or does not hold."""
+    return estimate_remarks(strike.window, strike.estimates[0]) if strike.window else []

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 from tms_bag import Recording, RecordingError
 from tms_bag.speed_topic import KINDS, is_command
 
-from tms_fit.estimate import Estimate
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import FIXED, MEASURED, NOMINAL, PRIOR
 from tms_fit.window import Window
@@ -91,12 +89,6 @@ def speed_remark(window: Window) -> str:
         f"the speed of {window.start_speed:.3f} m/s is the nominal one of run_info: none was measured up to"
         " the window's end"
     )
-
-
-def with_speed_remark(window: Window, estimate: Estimate) -> Estimate:
-    """The estimate, its message completed where its speed is the nominal one."""
-    remark = "" if "speed" in estimate.names else speed_remark(window)
-    return replace(estimate, message=f"{estimate.message}; {remark}") if remark else estimate
 
 
 def live_speed_sentence(source: str, topic: str, others: Sequence[str]) -> str:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from tms_model import Bicycle, ParameterError
 
 from tms_fit.diagnostics.misspecification import Misspecification, find_misspecification
+from tms_fit.diagnostics.remarks import with_remarks
 from tms_fit.estimate import Estimate, Estimates, Parameter, Status
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
 from tms_fit.least_squares.intervals import with_intervals
 from tms_fit.segment import FreeResponse, Segment, segment_window
 from tms_fit.settings import Settings
-from tms_fit.speed_source import with_speed_remark
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.strikes.window_end import WindowEnd
 from tms_fit.window import Window
@@ -91,7 +91,7 @@ def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, fin
         estimates = tuple(Estimate(name, Status.NOT_OBSERVABLE, str(error)) for name in settings.estimators)
         return StrikeFit(strike, segment, None, _with_causes(estimates, end, None), bicycle.name, final, end)
     window = _with_start(window, strike, settings)
-    found = (with_speed_remark(window, ESTIMATORS[name](window, settings)) for name in settings.estimators)
+    found = (with_remarks(window, ESTIMATORS[name](window, settings)) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
     why = find_misspecification(window, settings, estimates[0]) if final and estimates else None
     explained = _with_causes(estimates, end, why)

@@ -28,6 +28,8 @@ LOOK_BACK_NS = NANOSECONDS  # [ns] of motion from which a change is predicted wh
 FIRST_HISTORY_NS = 3 * NANOSECONDS // 10  # [ns] at a recording's start, before a change can be predicted
 PUSH_TAIL_NS = NANOSECONDS // 10  # [ns] for which a hand pushes on beyond the peak of the lean rate
 SAME_CHANGE_NS = NANOSECONDS // 20  # [ns] after a change, up to which an end of the motion is that change
+LEAST_DISTANCE_NS = 7 * NANOSECONDS // 20  # [ns] between the starts of two strikes
+ONE_STRIKE = "two strikes are told apart from 0.35 s on"
 PREDICTED_SHARE = 0.5  # of a change, by which the motion before explains it; at most its inverse
 # Unknowns of a free response, and of a motion whose beginning isn't known.
 AFTER_STRIKE: tuple[str, ...] = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias")
@@ -71,6 +73,7 @@ class StrikeTracker:
         strike = self._detector.push(time_ns, lean_rate)
         if strike is not None and strike.kind != "given":
             strike = self._accepted(strike)
+            strike = strike and self._apart(strike)
         if strike is not None:
             self._open.append(strike)
             self._onsets.append(strike.onset_ns)
@@ -141,6 +144,24 @@ class StrikeTracker:
         self._detector.withdraw(why)
         return None
 
+    def _apart(self, strike: Strike) -> Strike | None:
+        """The strike, unless it belongs to the last one: smaller and too close to it."""
+        last = self._latest
+        if last is None or not _is_close(last, strike):
+            return strike
+        if last in self._open and abs(strike.change) > abs(last.change):
+            return strike  # it takes the last one's place unless it turns out to be a catch: `_close_oldest`
+        distance = (strike.time_ns - last.time_ns) / NANOSECONDS
+        self._detector.withdraw(f"{distance:.2f} s after a larger change: {ONE_STRIKE}")
+        return None
+
+    def _drop(self, strike: Strike, why: str) -> None:
+        """Reject an open strike."""
+        self._detector.rejected.append(Rejected(strike.time_ns, strike.change, why))
+        self.strike_count -= 1
+        self._open.remove(strike)
+        self._onsets.remove(strike.onset_ns)
+
     @property
     def _least_change(self) -> float:
         return self._detector.least_change
@@ -191,14 +212,19 @@ class StrikeTracker:
             return None
 
     def _close_oldest(self) -> list[FreeResponse]:
-        """Response of the oldest open strike; open strikes that turn out to be a catch are rejected."""
+        """Response of the oldest open strike, or none where it turns out to be no strike of its own.
+
+        Open strikes that turn out to be a catch are rejected.
+        """
         for strike in [one for one in self._open if one.kind != "given"]:
             if why := self._caught(strike):
-                self._detector.rejected.append(Rejected(strike.time_ns, strike.change, why))
-                self.strike_count -= 1
-                self._open.remove(strike)
-                self._onsets.remove(strike.onset_ns)
+                self._drop(strike, why)
         if not self._open:
+            return []
+        if len(self._open) > 1 and _is_close(*self._open[:2]):
+            first, second = self._open[:2]
+            distance = (second.time_ns - first.time_ns) / NANOSECONDS
+            self._drop(first, f"{distance:.2f} s before a larger change: {ONE_STRIKE}")
             return []
         strike = self._open.pop(0)
         return [self.response(strike, strike.time_ns + round(self._settings.window * NANOSECONDS))]
@@ -223,3 +249,9 @@ class StrikeTracker:
         times = self._samples.time_ns
         self.first_ns = int(times[bisect_right(times, keep_ns)])
         self._onsets = [onset for onset in self._onsets if onset > keep_ns]
+
+
+def _is_close(first: Strike, second: Strike) -> bool:
+    """Whether two detected strikes, the first one earlier, are too close together to be two."""
+    given = "given" in (first.kind, second.kind)
+    return not given and second.time_ns - first.time_ns < LEAST_DISTANCE_NS

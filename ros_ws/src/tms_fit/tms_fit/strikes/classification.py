@@ -44,7 +44,8 @@ def classify_kink(
     edge = fit_edge(seconds, rate)
     if edge is None or not _is_sudden(edge, history, trigger_ns, settings):
         return None
-    if not _is_large(edge, seconds, rate, settings):
+    rise = _rise(edge, seconds, rate)
+    if not _is_large(edge, rise, settings) or max(abs(edge.change), rise.size) < needed:
         return None
     end_ns = trigger_ns + round(edge.end * NANOSECONDS)
     if edge.sharp:
@@ -67,7 +68,7 @@ def classify_kink(
         kind="strike",
         rise=edge.rise,
         needed=needed,
-        why=_why(edge, float(time[first] - time[first - 1]) / NANOSECONDS, needed),
+        why=_why(edge, rise, float(time[first] - time[first - 1]) / NANOSECONDS, needed),
     )
 
 
@@ -128,12 +129,23 @@ def noise_of(rates: Array) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(rates)))) / math.sqrt(2.0)
 
 
-def _why(edge: Edge, spacing: float, needed: float) -> str:
+@dataclass(frozen=True)
+class _Rise:
+    """Change of the level from before a change to after it, in the direction of the fitted jump."""
+
+    size: float  # [rad/s]; -inf: there are no samples on one side
+    std: float  # [rad/s]
+
+
+def _why(edge: Edge, rise: _Rise, spacing: float, needed: float) -> str:
     between = f"between two samples {1e3 * spacing:.1f} ms apart"
     how = between if edge.sharp else f"within {1e3 * edge.rise:.0f} ms"
+    level = (
+        f", its level by {math.copysign(rise.size, edge.change):+.3f}" if abs(edge.change) < needed else ""
+    )
     shimmy = f"; a shimmy of {edge.shimmy:.1f} Hz is fitted along" if edge.shimmy else ""
     return (
-        f"the lean rate jumps by {edge.change:+.3f} +- {edge.change_std:.3f} rad/s {how}; a kink of"
+        f"the lean rate jumps by {edge.change:+.3f} +- {edge.change_std:.3f} rad/s {how}{level};"
         f" {needed:.2f} rad/s or more was needed{shimmy}"
     )
 
@@ -152,7 +164,7 @@ def _is_sudden(edge: Edge, history: DetectorHistory, trigger_ns: int, settings: 
     )
 
 
-def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeThresholds) -> bool:
+def _is_large(edge: Edge, rise: _Rise, settings: StrikeThresholds) -> bool:
     """Whether the fitted jump, or else the rise from before to after it, is as large as a strike's.
 
     The bicycle's immediate response is part of the rise; a jump of 50 ms and a change of slope there differ
@@ -160,17 +172,19 @@ def _is_large(edge: Edge, seconds: Array, rate: Array, settings: StrikeThreshold
     """
     if abs(edge.change) - edge.change_std >= settings.least_change:
         return True
+    return abs(edge.change) > edge.change_std and rise.size - rise.std >= settings.least_change
+
+
+def _rise(edge: Edge, seconds: Array, rate: Array) -> _Rise:
+    """The rise of the level over an edge; seconds, rate: (n,)."""
     onset = edge.end - edge.rise
     before = rate[(seconds >= onset - LEVEL_LENGTH_S) & (seconds < onset)]
     after = rate[(seconds >= edge.end) & (seconds <= edge.end + LEVEL_LENGTH_S)]
     if not len(before) or not len(after):
-        return False
+        return _Rise(-math.inf, 0.0)
     rise = float(np.median(after) - np.median(before))  # one outlier is no rise
     std = noise_of(rate[seconds < onset]) * math.sqrt(1.0 / len(before) + 1.0 / len(after))
-    return (
-        abs(edge.change) > edge.change_std
-        and math.copysign(1.0, edge.change) * rise - std >= settings.least_change
-    )
+    return _Rise(math.copysign(1.0, edge.change) * rise, std)
 
 
 def _same_again(last: Strike | None, time_ns: int, settings: StrikeThresholds) -> bool:
