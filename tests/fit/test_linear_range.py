@@ -13,6 +13,7 @@ from tms_fit.diagnostics.linear_range import (
     linear_range_warning,
 )
 from tms_fit.parameters import BIASES, INITIAL
+from tms_fit.response.prediction import derivative
 from tms_model import load_bicycle
 from tms_model.nonlinear_response import nonlinear_response
 
@@ -73,3 +74,11 @@ def test_table_json_and_message_warn(
     assert any(text in one for one in document["warnings"]) == warned
     assert (text in strike["estimates"][0]["message"]) == warned
     assert (text in command("tms_fit", *words).out) == warned
+
+
+def test_the_derivative_by_a_damper_of_any_size_is_finite() -> None:
+    # At 1.5 m/s a search may run off to 1e11 N m s/rad, beside which a fixed step is rounding: 0 / 0.
+    window, _ = nonlinear_window("tms_table_8_1", 1.5, 0.1)
+    with np.errstate(invalid="raise", divide="raise"):
+        slope = derivative(window, {"steer_damper": 2.3e11}, "steer_damper")
+    assert np.isfinite(slope.columns).all()

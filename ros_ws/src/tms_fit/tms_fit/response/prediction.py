@@ -100,7 +100,7 @@ def _predictor(window: Window, nonlinear: tuple[tuple[str, float], ...]) -> Pred
 def derivative(window: Window, nonlinear: Mapping[str, float], name: str) -> Predictor:
     """Derivative of the predictor by one nonlinear parameter, at values by name."""
     centre = {**known_values(window), **nonlinear}.get(name, 0.0)
-    step = STEPS[name] * (centre if name == "speed" else 1.0)
+    step = STEPS[name] * (centre if name == "speed" else max(1.0, abs(centre)))  # a smaller one is rounding
     low, high = centre - step, centre + step
     if name == "strike_time":
         high = min(high, 0.0)  # there is no free response before the strike
