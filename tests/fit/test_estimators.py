@@ -85,7 +85,8 @@ def assert_same(one: Estimate, other: Estimate, precision: float) -> None:
     assert (one.sample_count, one.degrees_of_freedom) == (other.sample_count, other.degrees_of_freedom)
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
+# The estimator strike is about the first sample, whatever the delay.
+@pytest.mark.parametrize("estimator", [name for name in ESTIMATORS if name != "strike"])
 @pytest.mark.parametrize("bicycle", bicycle_names())
 def test_every_estimator_is_exact_without_noise(estimator: str, bicycle: str) -> None:
     window = made_window({"initial_lean_rate": -0.37}, bicycle=bicycle, delay=0.0042)

@@ -214,8 +214,10 @@ def messages(run: SimulatedRun) -> list[tuple[str, bytes]]:
     return [(topic, data) for topic, data in inputs if topic in INPUTS]
 
 
-def live(run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "") -> list[Record]:
-    fit = LiveFit(Settings(), bicycle)
+def live(
+    run: SimulatedRun, order: list[tuple[str, bytes]], bicycle: str = "", settings: Settings | None = None
+) -> list[Record]:
+    fit = LiveFit(settings or Settings(), bicycle)
     answers = [record for topic, data in order for record in fit.process(topic, data)]
     return answers + fit.finish()
 
@@ -251,6 +253,18 @@ def test_live_estimates_are_the_offline_ones_to_the_byte(recorded: Any, scenario
     assert [(record.time_ns, record.data) for record in estimates] == [(r.time_ns, r.data) for r in expected]
     states = [record for record in answers if record.topic == "/filter_state"]
     assert [record.time_ns for record in states] == run.imu.time_ns.tolist()
+
+
+def test_a_strike_as_a_force_is_live_what_it_is_offline(recorded: Any) -> None:
+    changes = {"strike__time": 1.5037, "strike__duration": 0.005, "effects__steer_kick": True}
+    run, offline = recorded(duration=3.5, **changes)
+    settings = Settings(estimators=("strike",))
+    strikes = fit_recording(offline.recording, offline.bicycle, settings).strikes
+    expected = [record for strike in strikes for record in estimate_records(strike)]
+    estimates = finals(live(run, messages(run), settings=settings))
+    assert [record.data for record in estimates] == [record.data for record in expected]
+    (estimate,) = [deserialize(record.data, record.type) for record in estimates]
+    assert estimate.names[:2] == ["strike_lean_rate", "initial_lean_rate"]
 
 
 def test_estimate_message_says_what_the_estimate_is(recorded: Any) -> None:

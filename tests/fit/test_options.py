@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.least_squares.losses import LOSSES
-from tms_fit.parameters import INITIAL, PARAMETERS, UNITS
+from tms_fit.parameters import INITIAL, PARAMETERS, STRIKE, UNITS
 from tms_fit.settings import OPTIONS, Option, Settings
 from tms_fit.settings_parser import add_options, settings_of
 from tms_model.command_line import Parser
@@ -100,7 +100,7 @@ def test_names_in_the_table_are_those_of_the_modules_behind() -> None:
     assert OPTIONS["estimators"].choices == tuple(ESTIMATORS)
     assert OPTIONS["loss"].choices == LOSSES
     assert tuple(f"initial_{name}" for name in STATE) == INITIAL
-    assert tuple(UNITS) == PARAMETERS
+    assert tuple(UNITS) == (*STRIKE, *PARAMETERS)
 
 
 def test_reference_page_says_what_the_table_says() -> None:

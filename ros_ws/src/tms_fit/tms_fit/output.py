@@ -48,7 +48,7 @@ def _strike(
     window = fit.window
     return {
         "time_ns": fit.start_ns,
-        "window": [fit.strike.time_ns, fit.end_ns],
+        "window": [window.first_ns if window else fit.strike.time_ns, fit.end_ns],
         "ended_by": {"kind": fit.window_end.kind, "why": fit.window_end.why} if fit.window_end else None,
         "lean_rate_change": fit.strike.change,
         "detection": _detection(fit.strike),

@@ -12,6 +12,11 @@ INITIAL = (  # the state at the start of the free response, in the order of tms_
     "initial_lean_rate",  # [rad/s]
     "initial_steer_rate",  # [rad/s]
 )
+STRIKE = (  # changes that the force of a strike alone makes, M^-1 times its time integral
+    "strike_lean_rate",  # [rad/s]
+    "strike_steer_rate",  # [rad/s]
+)
+ONSET = ("onset_lean", "onset_steer", "onset_lean_rate", "onset_steer_rate")  # the state before the force
 BIASES = ("lean_rate_bias", "yaw_rate_bias")  # [rad/s], one per channel, in this order
 CHANNELS = ("lean_rate", "yaw_rate")
 SLIP = "slip_yaw_rate"  # [rad/s] at the start, falling to zero in a straight line over the slip window
@@ -27,8 +32,11 @@ NONLINEAR = (
     FRICTION,  # with it, the response isn't linear in INITIAL either
 )
 PARAMETERS = (*LINEAR, *NONLINEAR)
+PRIORS = (*PARAMETERS, "strike_steer_rate", *ONSET)  # parameters that may have a prior
 DEFAULT_FREE = ("initial_lean_rate", "lean_rate_bias", "yaw_rate_bias")
 UNITS = {  # by parameter
+    "strike_lean_rate": "rad/s",
+    "strike_steer_rate": "rad/s",
     "initial_lean": "rad",
     "initial_steer": "rad",
     "initial_lean_rate": "rad/s",

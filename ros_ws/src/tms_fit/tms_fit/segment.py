@@ -55,6 +55,26 @@ class Segment:
         )
 
 
+def joined(before: Segment, after: Segment) -> Segment:
+    """Samples of a segment before another one, and those of the other."""
+    rows = before.time_ns < after.time_ns[0]
+    speeds = before.speed_time_ns < (after.speed_time_ns[0] if len(after.speed_time_ns) else 2**63 - 1)
+    flagged = [
+        np.zeros(one.angular_velocity.shape, dtype=bool) if one.flagged is None else one.flagged
+        for one in (before, after)
+    ]
+    return Segment(
+        np.concatenate([before.time_ns[rows], after.time_ns]),
+        np.concatenate([before.angular_velocity[rows], after.angular_velocity]),
+        np.concatenate([before.steer_torque[rows], after.steer_torque]),
+        np.concatenate([before.speed_time_ns[speeds], after.speed_time_ns]),
+        np.concatenate([before.speed[speeds], after.speed]),
+        np.concatenate([before.speed_variance[speeds], after.speed_variance]),
+        after.nominal_speed,
+        np.concatenate([flagged[0][rows], flagged[1]]) if flagged[0].any() or flagged[1].any() else None,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
     """A strike and the measurements after it."""
@@ -62,6 +82,7 @@ class FreeResponse:
     strike: Strike
     segment: Segment
     window_end: WindowEnd | None  # what ended the response before the window did; None: nothing
+    before: Segment | None = None  # free motion before it, with the strike; None: not known
 
 
 def segment_window(segment: Segment, bicycle: Bicycle, settings: Settings) -> Window:

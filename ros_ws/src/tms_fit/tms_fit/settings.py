@@ -13,9 +13,19 @@ from typing import Any, Literal
 from tms_model.errors import ParameterError
 from tms_model.resistance import RESISTANCES, Resistance
 
-from tms_fit.parameters import CHANNELS, FRICTION, PARAMETERS, check_known
+from tms_fit.parameters import CHANNELS, FRICTION, PARAMETERS, PRIORS, check_known
 
 AUTO = "auto"
+ASSUMPTIONS = ("upright", "no_kick")
+DEFAULT_PRIORS = {  # standard deviations about zero [rad], [rad/s], of the estimator `strike`
+    "onset_lean": math.radians(3.0),
+    "onset_steer": math.radians(3.0),
+    "onset_lean_rate": 0.2,
+    "onset_steer_rate": 0.5,
+    "strike_steer_rate": 0.3,  # beside that of a blow on the frame
+    "lean_rate_bias": 0.02,
+    "yaw_rate_bias": 0.02,
+}
 Kind = Literal["number", "numbers", "angles", "choice", "names", "values", "priors"]
 
 
@@ -109,7 +119,15 @@ class Settings:
         "what is known beforehand of a free parameter: mean and standard deviation, SI units",
         flag="--prior",
         parameter="prior",
-        choices=PARAMETERS,
+        choices=PRIORS,
+        unset="nothing; for the estimator strike, its table of priors",
+    )
+    assume: tuple[str, ...] = option(
+        "names",
+        (),
+        "what the estimator strike takes for true in place of a prior: the bicycle was upright, straight and"
+        " at rest sideways before the strike; the strike did not turn the steering",
+        choices=ASSUMPTIONS,
         unset="nothing",
     )
     window: float = option("number", 1.5, "longest free response used", unit="s", low=0.3, high=60.0)
@@ -225,7 +243,7 @@ class Settings:
         ("least_squares", "kalman_rts"),
         "estimators, in order",
         flag="--estimator",
-        choices=("least_squares", "kalman_rts", "som2011"),
+        choices=("least_squares", "kalman_rts", "som2011", "strike"),
         repeated=True,
     )
 
@@ -310,7 +328,8 @@ class Settings:
         if both:
             raise ParameterError(f"{both[0]}: found both free and fixed; leave it out of one of the two")
         for name, (mean, std) in self.priors.items():
-            if name in self.fixed or (self.free is not None and name not in self.free):
+            beside = name not in PARAMETERS
+            if name in self.fixed or (self.free is not None and name not in self.free and not beside):
                 raise ParameterError(f"prior: {name}: expected a free parameter; add it to what is free")
             if not (math.isfinite(mean) and math.isfinite(std) and std > 0.0):
                 raise ParameterError(

@@ -12,6 +12,7 @@ from tms_fit.diagnostics.remarks import with_remarks
 from tms_fit.estimate import Estimate, Estimates, Parameter, Status
 from tms_fit.estimators import ESTIMATORS
 from tms_fit.estimators.least_squares import refine_start
+from tms_fit.estimators.strike import with_force
 from tms_fit.least_squares.intervals import with_intervals
 from tms_fit.segment import FreeResponse, Segment, segment_window
 from tms_fit.settings import Settings
@@ -91,6 +92,8 @@ def fit_strike(response: FreeResponse, bicycle: Bicycle, settings: Settings, fin
         estimates = tuple(Estimate(name, Status.NOT_OBSERVABLE, str(error)) for name in settings.estimators)
         return StrikeFit(strike, segment, None, _with_causes(estimates, end, None), bicycle.name, final, end)
     window = _with_start(window, strike, settings)
+    if "strike" in settings.estimators:
+        window = with_force(window, response, settings)
     found = (with_remarks(window, ESTIMATORS[name](window, settings)) for name in settings.estimators)
     estimates = tuple(with_intervals(window, one, settings) for one in found)
     why = find_misspecification(window, settings, estimates[0]) if final and estimates else None

@@ -14,10 +14,22 @@ from tms_model.imu import lean_and_yaw_rate
 from tms_model.resistance import Resistance
 
 from tms_fit.gyroscopes import saturated
+from tms_fit.impulse.posterior import ImpulsePosterior
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import SpeedProfile, constant_speed
 
 FEEDBACK_R2 = 0.8  # share of a torque proportional to the lean rate, from which on it is lean-rate feedback
+
+
+@dataclass(frozen=True, eq=False)
+class StartInformation:
+    """What the samples before the free response and the priors say about its start.
+
+    rows @ [initial state, biases] = target + independent errors of unit variance.
+    """
+
+    rows: Array  # (k, 6) in the order of INITIAL and BIASES
+    target: Array  # (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +56,8 @@ class Window:
     longest_delay: float = 0.05  # [s]
     resistance: Resistance = "rolling"  # by what the speed changes
     saturated: Array | None = None  # (n, 2) sign of the sensor's limit that a sample stands at, else 0
+    force: ImpulsePosterior | None = None  # of the strike, by the samples around it; None: not looked for
+    start: StartInformation | None = None  # None: nothing but the samples
     slip_window: float = 0.0  # [s] from the start on, in which the front wheel slips and the yaw rate is off
 
     @property
@@ -167,6 +181,29 @@ def without_saturated(window: Window) -> Window:
         lean_rate=np.where(kept[:, 0], window.lean_rate, np.nan),
         yaw_rate=np.where(kept[:, 1], window.yaw_rate, np.nan),
         saturated=None,
+    )
+
+
+def from_sample(window: Window, index: int) -> Window:
+    """The window from one of its samples on, where the free response then starts."""
+    later = window.time[index:]
+    shift = float(later[0])
+
+    def cut(values: Array | None) -> Array | None:
+        return None if values is None else values[index:]
+
+    return replace(
+        window,
+        first_ns=window.first_ns + round(shift * 1e9),
+        time=later - shift,
+        lean_rate=window.lean_rate[index:],
+        yaw_rate=window.yaw_rate[index:],
+        speed=replace(window.speed, origin=window.speed.origin - shift),
+        steer_torque=cut(window.steer_torque),
+        gain_by_lean_rate=cut(window.gain_by_lean_rate),
+        saturated=cut(window.saturated),
+        delay=0.0,
+        delay_std=0.0,
     )
 
 

@@ -18,6 +18,7 @@ from tms_model.bicycle import Array
 
 from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
+from tms_fit.parameters import STRIKE
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
@@ -64,8 +65,8 @@ class Budget:
 
 
 def error_budget(window: Window, settings: Settings, estimate: Estimate) -> Budget | None:
-    """Budget of a least-squares estimate; None where it has no initial lean rate."""
-    if PARAMETER not in estimate.names:
+    """Budget of a least-squares estimate; None where it has no initial lean rate, or holds the strike."""
+    if PARAMETER not in estimate.names or STRIKE[0] in estimate.names:
         return None
     index = estimate.names.index(PARAMETER)
     asked = replace(settings, free=estimate.names)

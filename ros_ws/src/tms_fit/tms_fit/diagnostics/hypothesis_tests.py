@@ -114,8 +114,8 @@ def _white_squares(window: Window, narrow: Estimate, late: Window, rest: Estimat
         own = places[good[:, c]]
         channels[c] = ARChannelNoise(noise.process, noise.std, own - own[0], int(own[-1] - own[0]) + 1)
     squares = []
-    for noise in (shown, ColoredNoise(good, {}, channels)):
-        matrix, target = noise.rows(jacobian), noise.rows(residual)
+    for model in (shown, ColoredNoise(good, {}, channels)):
+        matrix, target = model.rows(jacobian), model.rows(residual)
         left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
         squares.append(float(left @ left))
     return squares[0], max(squares[1] - squares[0], 0.0)

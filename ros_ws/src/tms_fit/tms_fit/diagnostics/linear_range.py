@@ -2,8 +2,9 @@
 
 Free responses of the nonlinear bicycle (`tms_model.nonlinear_response`), fitted by the linear one over 1.5 s:
 the error of the initial lean rate grows with the square of the largest angle, lean or steer. With Table 8.1,
-Table 7.1 and the benchmark at 1.5 to 5 m/s it is below 0.12 % per square degree up to 20 degrees, whatever
-else is free: 4 % at 6 degrees, 12 % at 10. `tests/fit/test_linear_range.py` holds the figure.
+Table 7.1 and the benchmark at 3.6 to 5 m/s it is below 0.12 % per square degree up to 20 degrees, whatever
+else is free: 4 % at 6 degrees, 12 % at 10; beyond some 30 degrees it is larger.
+`tests/fit/test_linear_range.py` holds the figure.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from tms_fit.estimate import Estimate
 from tms_fit.estimators.least_squares import fit_window
 from tms_fit.least_squares.irls import only_rounding
 from tms_fit.noise.ar import is_autocorrelated
+from tms_fit.parameters import PARAMETERS
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
@@ -151,7 +152,8 @@ def _candidates(window: Window, settings: Settings, estimate: Estimate) -> list[
 
 def _refit(names: tuple[str, ...], window: Window, settings: Settings, estimate: Estimate) -> Estimate | None:
     """The fit with more free parameters under white noise; None where it fails."""
-    fit = fit_window(window, replace(settings, free=(*estimate.names, *names), noise="white", oscillator=()))
+    free = tuple(name for name in (*estimate.names, *names) if name in PARAMETERS)
+    fit = fit_window(window, replace(settings, free=free, noise="white", oscillator=()))
     return fit if fit.status == "ok" else None
 
 

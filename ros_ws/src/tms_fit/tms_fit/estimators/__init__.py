@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tms_fit.estimate import Estimate
-from tms_fit.estimators import kalman_rts, least_squares, som2011
+from tms_fit.estimators import kalman_rts, least_squares, som2011, strike
 from tms_fit.parameters import check_known
 from tms_fit.settings import Settings
 from tms_fit.window import Window
@@ -19,6 +19,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "least_squares": least_squares.fit_window,
     "kalman_rts": kalman_rts.estimate,
     "som2011": som2011.estimate,
+    "strike": strike.estimate,
 }
 
 

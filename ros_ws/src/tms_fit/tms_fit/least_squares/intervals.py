@@ -28,6 +28,7 @@ from tms_fit.least_squares.losses import Loss
 from tms_fit.least_squares.model_selection import specify_model
 from tms_fit.least_squares.nuisance import nuisance_covariance
 from tms_fit.least_squares.problem import Problem, solve
+from tms_fit.parameters import STRIKE
 from tms_fit.settings import Settings
 from tms_fit.window import Window
 
@@ -49,8 +50,8 @@ class Profile:
 
 
 def with_intervals(window: Window, estimate: Estimate, settings: Settings) -> Estimate:
-    """Estimate with 95 % intervals by the method of the settings."""
-    if settings.intervals == "wald" or estimate.status != "ok":
+    """Estimate with 95 % intervals by the method of the settings; by the covariance for a strike's force."""
+    if settings.intervals == "wald" or estimate.status != "ok" or STRIKE[0] in estimate:
         return estimate
     if settings.intervals == "profile":
         profiles = [profile(window, estimate, settings, name) for name in estimate.names]

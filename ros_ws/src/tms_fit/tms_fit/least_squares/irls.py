@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
@@ -12,7 +11,7 @@ from tms_model.bicycle import Array
 from tms_fit.least_squares.losses import Loss, outlier_count, scale
 from tms_fit.least_squares.problem import Problem, ProblemSolution, Whitener, solve
 from tms_fit.least_squares.saturated_samples import SaturatedSamples, saturated_samples
-from tms_fit.noise import NOISES, Noise, oscillator
+from tms_fit.noise import NOISES, Noise, likeliest, oscillator
 from tms_fit.noise.ar import is_autocorrelated
 from tms_fit.noise.colored import ColoredNoise
 from tms_fit.noise.white import White
@@ -57,7 +56,7 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
         residual = problem.window.measured - problem.predicted(solution.values)
         fitted = _fitted(problem, solution)
         if known == "auto" and informative and is_autocorrelated(residual):
-            known, noise = _likelier(problem, residual, fitted, stated)
+            known, noise = likeliest(window.time, residual, fitted, stated)
         else:
             known = "white" if known == "auto" else known
             noise = _noise(known, loss, problem, residual, fitted, limits, stated)
@@ -81,7 +80,7 @@ def fit_problem(problem: Problem, noise_model: str, loss: Loss, stated: tuple[fl
 
 def _plain(problem: Problem, noise_model: str) -> ProblemSolution:
     """Least squares that starts the iteration; with priors and noise 'auto', under estimated white noise."""
-    if noise_model == "auto" and problem.priors:
+    if noise_model == "auto" and problem.is_informed:
         return fit_problem(problem, "white", Loss("squares")).solution
     return solve(problem, _first_rows(problem))
 
@@ -104,7 +103,7 @@ def _final(problem: Problem, noise_model: str, loss: Loss, limits: SaturatedSamp
     """Whether one iteration is enough, since the weights do not change the solution."""
     if loss.name != "squares" or limits is not None:
         return False
-    return not problem.priors if noise_model == "white" else not problem.nonlinear
+    return not problem.is_informed if noise_model == "white" else not problem.nonlinear
 
 
 def _first_rows(problem: Problem) -> Whitener:
@@ -174,23 +173,6 @@ def _averaged(
     prior = solution.jacobian[count:], solution.rows[count:]
     shift, covariance = noise.average(residual, solution.channels, prior)
     return replace(solution, values=solution.values + shift, covariance=covariance)
-
-
-def _likelier(
-    problem: Problem, residual: Array, fitted: Array, stated: tuple[float, ...]
-) -> tuple[str, Noise]:
-    """Name and noise with the lower BIC: autoregressive or oscillator."""
-    time, count = problem.window.time, int(np.isfinite(residual).sum())
-
-    def bic(noise: Noise) -> float:
-        rows = noise.rows(residual)
-        return float(rows @ rows) + noise.log_determinant + len(noise.parameters) * math.log(count)
-
-    rivals: dict[str, Noise] = {
-        "ar": NOISES["ar"](time, residual, fitted),
-        "oscillator": oscillator.fit(time, residual, fitted, stated),
-    }
-    return min(rivals.items(), key=lambda one: bic(one[1]))
 
 
 def _fitted(problem: Problem, solution: ProblemSolution) -> Array:

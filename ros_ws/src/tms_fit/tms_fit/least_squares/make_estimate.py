@@ -93,7 +93,9 @@ def in_order(estimate: Estimate, names: tuple[str, ...]) -> Estimate:
 
 def degrees_of_freedom(problem: Problem) -> int:
     """Number of measurements and priors minus number of unknowns."""
+    start = problem.window.start
     count = int(np.isfinite(problem.window.measured).sum()) + len(problem.priors)
+    count += 0 if start is None else len(start.rows)
     between = problem.window.delay_std and "strike_time" not in problem.names
     return count - len(problem.names) - (1 if between else 0)
 

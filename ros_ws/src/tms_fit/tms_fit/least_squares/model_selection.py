@@ -10,7 +10,7 @@ from tms_model.acceleration import coasting_loss
 
 from tms_fit.estimate import Estimate
 from tms_fit.least_squares.problem import Problem
-from tms_fit.parameters import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, SLIP
+from tms_fit.parameters import BIASES, DEFAULT_FREE, FRICTION, INITIAL, LINEAR, PARAMETERS, SLIP
 from tms_fit.settings import Settings
 from tms_fit.speed_profile import SPEED_STALE_AFTER_S, constant_speed
 from tms_fit.window import Window, with_channels, without_saturated
@@ -215,7 +215,7 @@ def _free(window: Window, settings: Settings) -> tuple[str, ...]:
             if not np.isfinite(channel).any()
         ]
         free = [name for name in DEFAULT_FREE if name not in absent and name not in settings.fixed]
-        free += [name for name in settings.priors if name not in free]
+        free += [name for name in settings.priors if name in PARAMETERS and name not in free]
         coasts = bool(_coasting_reason(window, settings))
         if coasts and window.speed.is_stale and "speed" not in free:
             free.append("speed")

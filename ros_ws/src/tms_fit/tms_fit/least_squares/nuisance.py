@@ -54,6 +54,23 @@ def nuisance_covariance(
     return added
 
 
+def nuisance_columns(problem: Problem, solution: ProblemSolution) -> tuple[Array, Array]:
+    """Derivatives (n, 2, k) of the prediction by nuisance parameters, and their covariance (k, k).
+
+    Nuisance parameters are the coefficients of the speed curve, and a feedback gain found from a torque.
+    """
+    window, values = problem.window, problem.values(solution.values)
+    changes = list(_by_curve(problem, solution))
+    powers = [power for power, _ in changes]
+    columns = [model.predict(values) for _, model in changes]
+    covariance = window.speed.covariance[np.ix_(powers, powers)]
+    if window.lean_rate_gain_std and "lean_rate_gain" not in {*problem.names, *problem.known}:
+        columns.append(derivative(window, _nonlinear(problem, solution), "lean_rate_gain").predict(values))
+        known, covariance = covariance, np.zeros((len(columns), len(columns)))
+        covariance[:-1, :-1], covariance[-1, -1] = known, window.lean_rate_gain_std**2
+    return np.stack(columns, axis=2) if columns else np.empty((*window.measured.shape, 0)), covariance
+
+
 def _by_curve(problem: Problem, solution: ProblemSolution) -> Iterator[tuple[int, Predictor]]:
     """Derivatives of the predictor by the coefficients of the speed curve that the fit uses."""
     window, names = problem.window, {*problem.names, *problem.known}

@@ -18,7 +18,7 @@ from tms_model.bicycle import Array
 from tms_fit.least_squares import varpro
 from tms_fit.least_squares.block_arrowhead import SMALLEST_SINGULAR_VALUE, Block
 from tms_fit.least_squares.varpro import MAX_EVALUATIONS, ResidualBlock, Status, Unknowns
-from tms_fit.parameters import FRICTION, LINEAR, shaping
+from tms_fit.parameters import BIASES, FRICTION, INITIAL, LINEAR, shaping
 from tms_fit.response.discretization import known_values
 from tms_fit.response.prediction import Predictor, derivative, predictor
 from tms_fit.window import Window
@@ -29,6 +29,7 @@ Priors = Mapping[str, tuple[float, float]]  # mean and standard deviation by nam
 SPEED_MIN = 0.05  # [m/s]
 FRICTION_TOLERANCE = 1e-2  # last step [standard errors] with friction, which is not differentiable
 SMALLEST_SINGULAR_VALUE_OF_DIFFERENCES = 1e-6  # relative to the largest, for finite-difference columns
+START = (*INITIAL, *BIASES)  # columns of StartInformation
 GAIN = "lean_rate_gain"
 GAIN_STARTS = (-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)  # relative to the steering's damping
 
@@ -47,6 +48,11 @@ class Problem:
     def names(self) -> tuple[str, ...]:
         """Free parameters in the order of a solution's values."""
         return (*self.linear, *self.nonlinear)
+
+    @property
+    def is_informed(self) -> bool:
+        """Whether more than the samples of the window determine the parameters."""
+        return bool(self.priors) or self.window.start is not None
 
     def values(self, solution: Array) -> dict[str, float]:
         """All parameters by name, fixed and estimated, SI units."""
@@ -119,6 +125,12 @@ class WindowRows:
         target = self.window.measured - model.predict(self.known)
         rows = self.whiten(np.concatenate([columns, target[:, :, None]], axis=2))
         count = len(self.own[0])
+        names = (*self.own[0], *self.shared[0])
+        by_start, known = self._start(names)
+        values = {**self.known, **self._by_name(1, nonlinear)}
+        offset = known @ np.array([values.get(name, 0.0) if name not in names else 0.0 for name in START])
+        start = self.window.start
+        rows = np.concatenate([rows, np.column_stack([by_start, (start.target if start else 0.0) - offset])])
         return Block(rows[:, :count], rows[:, count:-1], rows[:, -1])
 
     def slopes(self, nonlinear: Array, linear: Array) -> tuple[Array, Array]:
@@ -128,8 +140,19 @@ class WindowRows:
             return np.empty((0, 0)), np.empty((0, 0))
         values = {**self.known, **shaped, **self._by_name(0, linear)}
         rows = self.whiten(np.stack([self.slope(shaped, name, values) for name in names], axis=2))
+        rows = np.concatenate([rows, self._start(names)[0]])
         count = len(self.own[1])
         return rows[:, :count], rows[:, count:]
+
+    def _start(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Rows on the start of the response for some unknowns (k, p), and for all of START (k, 6)."""
+        start = self.window.start
+        known = np.empty((0, len(START))) if start is None else start.rows
+        found = np.zeros((len(known), len(names)))
+        for column, name in enumerate(names):
+            if name in START:
+                found[:, column] = known[:, START.index(name)]
+        return found, known
 
     def _by_name(self, kind: int, values: Array) -> dict[str, float]:
         return dict(zip((*self.own[kind], *self.shared[kind]), values.tolist(), strict=True))

@@ -7,9 +7,12 @@ prediction by the fitted parameters correct for the degrees of freedom that the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from tms_model.bicycle import Array
 
 from tms_fit.noise import ar, oscillator, white
@@ -32,6 +35,9 @@ class Noise(Protocol):
     def innovations(self, residual: Array) -> Array:
         """Whitened residuals (n, 2) of unit variance; NaN where nothing was measured."""
 
+    def at_samples(self, time: Array, good: NDArray[np.bool_]) -> Noise:
+        """The same noise at other samples: times (n,) [s], measured (n, 2)."""
+
 
 NoiseModel = Callable[[Array, Array, Array], Noise]
 
@@ -40,3 +46,20 @@ NOISES: dict[str, NoiseModel] = {
     "ar": ar.fit,
     "oscillator": oscillator.fit,
 }
+
+
+def likeliest(
+    time: Array, residual: Array, jacobian: Array, stated: tuple[float, ...] = ()
+) -> tuple[str, Noise]:
+    """Name and noise of the lower BIC: autoregressive or oscillator; stated: known numbers of the latter."""
+    count = int(np.isfinite(residual).sum())
+
+    def bic(noise: Noise) -> float:
+        rows = noise.rows(residual)
+        return float(rows @ rows) + noise.log_determinant + len(noise.parameters) * math.log(count)
+
+    rivals: dict[str, Noise] = {
+        "ar": ar.fit(time, residual, jacobian),
+        "oscillator": oscillator.fit(time, residual, jacobian, stated),
+    }
+    return min(rivals.items(), key=lambda one: bic(one[1]))

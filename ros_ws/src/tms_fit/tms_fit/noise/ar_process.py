@@ -96,6 +96,11 @@ class ARChannelNoise:
         """Whitened values (m,) of unit variance at the samples."""
         return self.rows(values)[self.places]
 
+    def at(self, time: Array) -> ARChannelNoise:
+        """The same noise at other samples (m,) [s], at the same steps."""
+        places = grid_places(time)
+        return ARChannelNoise(self.process, self.std, places, int(places[-1]) + 1)
+
     @property
     def parameters(self) -> dict[str, float]:
         """Standard deviation of the innovations [rad/s] and coefficients."""

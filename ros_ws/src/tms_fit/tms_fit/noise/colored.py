@@ -47,6 +47,11 @@ class ColoredNoise:
             white[self.good[:, c], c] = noise.innovations(residual[self.good[:, c], c])
         return white
 
+    def at_samples(self, time: Array, good: NDArray[np.bool_]) -> ColoredNoise:
+        """The likeliest noise at other samples, independent of these: times (n,) [s], measured (n, 2)."""
+        channels = {c: noise.at(time[good[:, c]]) for c, noise in self.channels.items() if good[:, c].any()}
+        return ColoredNoise(good, {}, channels)
+
     def average(self, residual: Array, jacobian: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
         """Mean change (p,) of the parameters and their covariance (p, p), averaged over the candidates.
 

@@ -118,6 +118,11 @@ class OscillatorNoise:
         """Logarithm of the determinant of the samples' covariance."""
         return float(self.shape.log_determinants[0]) + 2.0 * math.log(self.std) * len(self.shape.time)
 
+    def at(self, time: Array) -> OscillatorNoise:
+        """The same noise at other samples (m,) [s]."""
+        shape = self.shape
+        return OscillatorNoise(Oscillations(time, shape.frequency, shape.decay_time, shape.ratio), self.std)
+
     def rows(self, values: Array) -> Array:
         """Whitened rows (m, ...) of unit variance for values (m, ...) of the samples."""
         flat = values.reshape(len(values), -1)

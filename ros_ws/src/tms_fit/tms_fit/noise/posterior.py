@@ -42,6 +42,9 @@ class ChannelNoise(Protocol):
     def innovations(self, values: Array) -> Array:
         """Whitened values (m,) of unit variance at the samples."""
 
+    def at(self, time: Array) -> ChannelNoise:
+        """The same noise at other samples (m,) [s]."""
+
 
 class Family(Protocol):
     """Candidate noise models (g) of one channel with innovations of unit standard deviation."""

@@ -32,6 +32,10 @@ class White:
         rows: Array = values[self.good] / (self.std or 1.0)
         return rows
 
+    def at_samples(self, time: Array, good: NDArray[np.bool_]) -> White:
+        """The same noise at other samples: times (n,) [s], measured (n, 2)."""
+        return White(good, self.std)
+
     def innovations(self, residual: Array) -> Array:
         """Residuals (n, 2) in standard deviations; NaN where nothing was measured."""
         return np.where(self.good, residual, np.nan) / (self.std or 1.0)

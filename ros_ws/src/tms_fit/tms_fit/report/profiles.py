@@ -6,7 +6,7 @@ import numpy as np
 
 from tms_fit.comparison import Comparison
 from tms_fit.least_squares.intervals import profile
-from tms_fit.parameters import NONLINEAR
+from tms_fit.parameters import NONLINEAR, STRIKE
 from tms_fit.report.chart import Chart, Columns
 from tms_fit.report.charts.profile import profile_chart
 from tms_fit.report.datasets import column
@@ -15,12 +15,12 @@ from tms_fit.settings import Settings
 
 
 def profile_charts(both: Comparison, settings: Settings) -> tuple[tuple[Chart, ...], dict[str, Columns]]:
-    """A chart for each of them, and the numbers."""
+    """A chart for each of them, and the numbers; none for an estimate that holds the strike."""
     charts: list[Chart] = []
     data: dict[str, Columns] = {}
     estimate = both.estimate
     for name in estimate.names:
-        if name not in NONLINEAR:
+        if name not in NONLINEAR or STRIKE[0] in estimate:
             continue
         found = profile(both.used, estimate, settings, name)
         value, std = estimate.parameters[name], float(estimate.std[estimate.names.index(name)])

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from tms_fit.estimate import Estimate
-from tms_fit.parameters import BIASES, FRICTION, INITIAL, LINEAR, SLIP
+from tms_fit.parameters import BIASES, FRICTION, INITIAL, LINEAR, SLIP, STRIKE
 from tms_fit.response.discretization import Transitions, discretize, known_values
 from tms_fit.response.friction import friction_response
 from tms_fit.window import Window
@@ -117,13 +117,19 @@ def predict_by(window: Window, estimate: Estimate) -> tuple[Array, Array]:
     if window.speed.extrapolated and "speed" not in estimate.names:
         del nonlinear["speed"]  # follows from the extrapolated curve and the free parameters
     model = predictor(window, nonlinear)
-    columns = [
-        model.columns[:, :, LINEAR.index(name)]
-        if name in LINEAR and name not in nonlinear
-        else derivative(window, nonlinear, name).predict(estimate.complete)
-        for name in estimate.names
-    ]
+    columns = [_slope(window, model, estimate, nonlinear, name) for name in estimate.names]
     return model.predict(estimate.complete), np.stack(columns, axis=2)
+
+
+def _slope(
+    window: Window, model: Predictor, estimate: Estimate, nonlinear: Mapping[str, float], name: str
+) -> Array:
+    """Derivative (n, 2) of an estimate's prediction by one of its parameters."""
+    if name in STRIKE:  # it acted before the free response, whose start is a parameter of its own
+        return np.zeros(model.forced.shape)
+    if name in LINEAR and name not in nonlinear:
+        return model.columns[:, :, LINEAR.index(name)]
+    return derivative(window, nonlinear, name).predict(estimate.complete)
 
 
 def _channels(moved: Transitions, steer_torque: Array | None) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 
 from tms_model import Bicycle, ParameterError
 
@@ -112,7 +113,8 @@ class StrikeTracker:
         if found is not None and first_ns + round(found.time * NANOSECONDS) < end_ns:
             end = found
             end_ns = first_ns + max(round(found.time * NANOSECONDS), 0)
-        return FreeResponse(strike, self._segment(first_ns, end_ns), end)
+        before = self._segment(strike.since_ns, first_ns) if strike.since_ns else None
+        return FreeResponse(strike, self._segment(first_ns, end_ns), end, before)
 
     def resized(self, response: FreeResponse, window: float) -> FreeResponse:
         """The same free response in a window of another length [s], as far as its samples are kept."""
@@ -123,7 +125,8 @@ class StrikeTracker:
         has_ended = end is not None and end.kind != "recording"
         if not has_ended and end_ns > last_ns and self.first_ns <= first_ns:
             return self.response(response.strike, end_ns)
-        return FreeResponse(response.strike, segment.until(end_ns), end if end_ns >= last_ns else None)
+        end = end if end_ns >= last_ns else None
+        return FreeResponse(response.strike, segment.until(end_ns), end, response.before)
 
     def forget(self) -> None:
         """Release all memory but the onsets of strikes; windows can't become longer any more."""
@@ -139,7 +142,7 @@ class StrikeTracker:
         if not why:
             refined = strike if around is None else refine_strike_time(strike, around, self._least_change)
             if isinstance(refined, Strike):
-                return refined
+                return refined if around is None else replace(refined, since_ns=around.first_ns)
             why = refined
         self._detector.withdraw(why)
         return None

@@ -23,6 +23,7 @@ class Strike:
     rise: float  # [s], how long the change took
     needed: float  # [rad/s], threshold that the change exceeds
     why: str  # one sentence
+    since_ns: int = 0  # first sample of the free motion before it; 0: none is known
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Strike as a force of unknown onset and duration: response, priors, posterior."""
