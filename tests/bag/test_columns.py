@@ -316,6 +316,7 @@ print(peak() - before, sum(array.nbytes for array in arrays))
 """
 
 
+@pytest.mark.long
 def test_memory_is_at_most_twice_the_arrays_and_a_chunk(tmp_path, write_bag):
     count = 200_000
     time = 10**18 + np.arange(count, dtype=np.int64) * STEP_NS

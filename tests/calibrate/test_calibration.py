@@ -98,6 +98,7 @@ def test_changed_numbers_are_recovered_within_their_intervals(calibrations: list
     assert all(one.solution.status == "ok" for one in calibrations)
 
 
+@pytest.mark.long
 def test_what_a_start_that_is_not_upright_does_is_told(delft: Bicycle) -> None:
     # Pushes of 0.2 s that end with lean and steer, all in the same proportion: their scatter shows nothing.
     generator = np.random.default_rng(3)
@@ -123,6 +124,7 @@ def test_what_a_start_that_is_not_upright_does_is_told(delft: Bicycle) -> None:
     assert np.abs((same.values - truth) / same.std).max() < 4.0
 
 
+@pytest.mark.long
 def test_alike_residuals_count_less(calibrations: list[Calibration], delft: Bicycle) -> None:
     # An autocorrelation that falls with 50 ms at 100 Hz: 1 + 2 sum exp(-0.2 k) = 10.03 samples tell as much
     # as one, where the prediction changes slowly beside it; with white noise each tells for itself.
@@ -293,6 +295,7 @@ def test_too_little_is_refused(delft: Bicycle) -> None:
         calibrate(delft, runs * 2, ("trail", "trail"), {})
 
 
+@pytest.mark.long
 def test_a_calibrated_bicycle_is_one_to_work_with(command: Any, tmp_path: Path) -> None:
     bag = Path(__file__).parents[2] / "bags" / "delft_push"
     bags = []

@@ -158,6 +158,7 @@ def test_what_noise_does_to_least_squares_is_as_dense_algebra_has_it() -> None:
     ("kind", "count", "least"), [("0.2", 10, 7), ("0.05", 30, 25), ("0.2", 30, 25), ("shimmy", 12, 9)]
 )
 @pytest.mark.quick_for(count=[10])
+@pytest.mark.long
 def test_a_shared_bias_is_held_by_its_interval(kind: str, count: int, least: int) -> None:
     # 0.93 to 0.97 of many (docs/calibration.md). At 0.95, fewer than 25 of 30 come once in 300, fewer than 9
     # of 12 once in 400, fewer than 7 of 10 once in 970.

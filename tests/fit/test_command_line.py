@@ -388,6 +388,7 @@ def test_hypotheses_and_budget_on_request(command: Any, bag: Path) -> None:
     assert "error budget of the initial lean rate" in text
 
 
+@pytest.mark.long
 def test_a_kicked_steering_is_found_and_said(command: Any, bag: Path, make_run: Any, tmp_path: Path) -> None:
     # The strike of gym_run kicks the steering: without a steer rate the interval misses the truth.
     run = make_run("gym_run", duration=6.0)

@@ -169,6 +169,7 @@ def test_each_flaw_is_named() -> None:
     assert any(test.name == "normality" and not test.passed for test in spiked.tests)
 
 
+@pytest.mark.long
 def test_the_right_model_is_seldom_rejected() -> None:
     # 20 runs, 6 true hypotheses: 0.12 rejections at 1e-3 are expected, 3 or more come once in 4000.
     rejected = 0
@@ -179,6 +180,7 @@ def test_the_right_model_is_seldom_rejected() -> None:
     assert rejected < 3
 
 
+@pytest.mark.long
 def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
     bicycle = load_bicycle("tms_eq_10_1")
     ratio = impulse_ratio(bicycle)
@@ -202,6 +204,7 @@ def test_a_steer_kick_is_told_from_none_and_an_impulse_recognised() -> None:
     assert other.delta_bic < -10.0
 
 
+@pytest.mark.long
 def test_steering_that_is_damped_more_than_the_bicycle_says_is_told() -> None:
     damped = made(5, steer_damper=0.005)
     (told,) = (v for v in run_hypothesis_tests(damped, SETTINGS) if v.parameter == "steer_damper")

@@ -365,6 +365,7 @@ def test_a_start_between_two_samples_is_a_normal_distribution_cut_off(peak: floa
     assert std == pytest.approx(math.sqrt(second / whole - (first / whole) ** 2), rel=3e-3)
 
 
+@pytest.mark.long
 def test_a_kick_does_not_misdate_the_strike() -> None:
     # A start upright and straight puts the instant of a strike that kicks the steering at one of the samples.
     # With all four initial states free the response says nothing of it: only that it lies between them.

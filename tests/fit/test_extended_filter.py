@@ -186,6 +186,7 @@ def parameter_errors(run: Any, last: FilterStep) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(10, marks=pytest.mark.long)])
+@pytest.mark.long
 def test_without_a_speed_sensor_it_comes_to_speed_and_rolling_resistance(make_run: Any, count: int) -> None:
     # Stated 10 % too fast or too slow. Nothing disturbs a simulated bicycle, so that the filter, which allows
     # for disturbances, is rather too careful: the mean square of its scaled errors is at most what 20 squared

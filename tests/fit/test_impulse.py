@@ -53,6 +53,7 @@ def test_impulse_without_noise_is_exact(duration: float, steer: float) -> None:
 @pytest.mark.parametrize("rate", [100.0])
 @pytest.mark.parametrize("shaken", [0.0, 0.1])
 @pytest.mark.quick_for(shaken=[0.1])
+@pytest.mark.long
 def test_standard_deviations_are_those_of_the_answers(rate: float, shaken: float) -> None:
     rng = np.random.default_rng(3)
     time = np.arange(-0.5, 0.35, 1.0 / rate)

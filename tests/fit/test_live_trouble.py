@@ -67,6 +67,7 @@ def finals(answers: list[Record]) -> list[bytes]:
     return [one.data for one in estimates if deserialize(one.data, one.type).final]
 
 
+@pytest.mark.long
 def test_a_clock_that_jumps_an_hour_ahead_is_a_gap_and_nothing_more() -> None:
     before, after = list(stream(SECOND, 1)), list(stream(3601 * SECOND, 1))
     fit = LiveFit(Settings())

@@ -350,6 +350,7 @@ def test_outliers_are_seen_and_only_outliers() -> None:
     assert outlier_count(np.stack([np.sin(np.arange(150) * 0.2), np.zeros(150)], axis=1)) == 0
 
 
+@pytest.mark.long
 def test_a_start_that_is_not_straight_is_found_by_evidence() -> None:
     rng, window = np.random.default_rng(26), clean_window()
     rates = predictor(window).predict({"initial_lean_rate": 0.5, "initial_steer_rate": -1.5})

@@ -277,6 +277,7 @@ def test_slip_window_is_shaded(report: Any, bag: Path, slip: str) -> None:
     assert "slip_window" not in report(bag).data["data"]["strike-1"]
 
 
+@pytest.mark.long
 def test_a_prediction_that_runs_away_is_not_drawn(report: Any, bag: Path) -> None:
     data = report(bag, "--fix", "speed=0.3").data["data"]["strike-1"]["series"]
     largest = max(abs(one) for one in data["lean_rate"] if one is not None)
@@ -313,6 +314,7 @@ def test_truncated_bags(command: Any, bag: Path, tmp_path: Path, share: float) -
         assert done.err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_figures_for_papers(command: Any, bag: Path, tmp_path: Path) -> None:
     folder = tmp_path / "figures"
     done = command("tms_fit", "report", bag, "-o", tmp_path / "report.html", "--figures", folder)
@@ -344,6 +346,7 @@ def test_what_is_missing_is_counted() -> None:
     assert gaps_of(np.array([5])) == ([], 0)
 
 
+@pytest.mark.long
 def test_recording_tells_losses_limits_and_the_truth(make_run: Any, report: Any, tmp_path: Path) -> None:
     run = make_run("gym_run", strike__time=3.0, duration=6.0, run_up__duration=1.0)
     kept = np.delete(np.arange(len(run.imu.time_ns)), [100, 101])

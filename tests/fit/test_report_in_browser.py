@@ -100,6 +100,7 @@ def test_opens_without_a_complaint_and_asks_nobody_for_anything(page: Any, repor
     assert page.execute_script("return performance.getEntriesByType('resource').length") == 0
 
 
+@pytest.mark.long
 def test_numbers_shown_are_those_of_fit_run(page: Any, bag: Path) -> None:
     command = [sys.executable, "-m", "tms_fit", "run", str(bag), "--json"]
     document = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)

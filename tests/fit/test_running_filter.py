@@ -47,6 +47,7 @@ def matching_run(bicycle: str, speed: float, count: int, seed: int) -> tuple[np.
     return states, steps
 
 
+@pytest.mark.long
 def test_innovations_are_as_large_as_foreseen() -> None:
     # 40 runs of 200 samples of two channels: 16000 squared standard normals. Their mean per sample is 2,
     # within 3.3 deviations of sqrt(2 * 2 / 8000). (Published for one run of 400: [1.81, 2.20].)
@@ -69,6 +70,7 @@ def test_errors_are_as_large_as_foreseen() -> None:
     assert 3.25 < np.mean(scores) < 4.82
 
 
+@pytest.mark.long
 def test_after_a_strike_it_is_rather_too_careful(make_run: Any) -> None:
     # Nothing disturbs a simulated bicycle after its strike, but the filter allows for it. Its innovations are
     # then at least as large as the gyroscope's noise, R, makes them, and at most as large as it foresees, S:

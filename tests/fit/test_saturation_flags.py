@@ -82,6 +82,7 @@ def test_live_replayed_and_offline_agree_on_them(limited: SimulatedRun, tmp_path
     assert live(shaken)[0] == answers
 
 
+@pytest.mark.long
 def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
     told, _ = live(messages(limited))
     known, _ = live(messages(unmarked(limited)), Settings(gyroscope_range=LIMIT))
@@ -89,6 +90,7 @@ def test_the_running_filter_leaves_them_out(limited: SimulatedRun) -> None:
     assert told != live(messages(unmarked(limited)))[0]
 
 
+@pytest.mark.long
 def test_marks_that_come_too_late_are_counted(limited: SimulatedRun) -> None:
     first = [record for record in messages(limited) if record.topic != f"/{topics.LEAN_YAW}"]
     late = [record for record in messages(limited) if record.topic == f"/{topics.LEAN_YAW}"]

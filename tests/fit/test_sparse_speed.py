@@ -116,6 +116,7 @@ def test_of_two_topics_with_the_same_stamps_the_one_that_states_its_error_counts
 # The fit.
 
 
+@pytest.mark.long
 def test_speed_falls_from_when_it_was_measured(strike: StrikeFit) -> None:
     window, estimate = strike.window, strike.estimates[0]
     assert window is not None
@@ -174,6 +175,7 @@ def test_interval_holds_the_measured_speeds_uncertainty(strike: StrikeFit) -> No
 
 
 @pytest.mark.parametrize("seeds", [(1,), pytest.param((1, 4, 7), marks=pytest.mark.long)])
+@pytest.mark.long
 def test_intervals_hold_where_a_constant_speed_would_not(
     make_run: Any, fit_run: Any, seeds: tuple[int, ...]
 ) -> None:
@@ -230,6 +232,7 @@ def test_filter_and_smoother_agree_with_least_squares(filmed: SimulatedRun, fit_
     np.testing.assert_allclose(smoothed.std, squares.std, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_the_supplements_fit_keeps_its_constant_speed(filmed: SimulatedRun, fit_run: Any) -> None:
     (found,) = fit_run(filmed, estimators=("som2011",))
     (estimate,) = found.estimates

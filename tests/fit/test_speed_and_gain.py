@@ -121,6 +121,7 @@ def test_a_simulated_controller_and_a_fitted_one_turn_the_same_fork() -> None:
     assert min(found.vaf.values()) > 1.0 - 1e-5
 
 
+@pytest.mark.long
 def test_intervals_hold_the_error_of_a_gain_found_from_the_torque() -> None:
     # The torque follows the true lean rate; the gain comes from it and the measured one, and is 0.9 % off.
     # Taken for exact, the steer rate found scatters by twice its standard error.

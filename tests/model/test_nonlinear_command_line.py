@@ -132,6 +132,7 @@ def test_linearity(answer: Callable[..., dict[str, Any]]) -> None:
     [("tms_table_8_1", 3.6, (2.3, 5.1)), ("benchmark", 5.0, (2.3, 5.2)), ("tms_table_7_1", 3.6, (2.1, 4.7))],
 )
 @pytest.mark.quick_for(name=["tms_table_8_1"])
+@pytest.mark.long
 def test_the_lean_angles_told_in_the_conventions(
     name: str, speed: float, degrees: tuple[float, float]
 ) -> None:

@@ -209,6 +209,7 @@ def test_without_its_parameter_there_is_no_snapshot(
     nodes.stop(recorder)
 
 
+@pytest.mark.long
 def test_simulated_time_stamps_what_came_with_it(
     nodes: Any, participant: Any, tmp_path: Path, record: Any
 ) -> None:

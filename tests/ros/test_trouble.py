@@ -117,6 +117,7 @@ def heard(participant: Any, node: str = "/estimator") -> dict[str, int]:
     return counts
 
 
+@pytest.mark.long
 def test_a_publisher_that_dies_and_returns_begins_a_new_run(nodes: Any, participant: Any) -> None:
     first, second = inputs(run_of(seed=1)), inputs(run_of(seed=2))
     answers = Answers(participant)
@@ -173,6 +174,7 @@ def test_time_that_jumps_back_and_forward_begins_new_runs(nodes: Any, participan
     nodes.stop(estimator)
 
 
+@pytest.mark.long
 def test_simulated_time_without_a_clock_stops_nobody(nodes: Any, participant: Any) -> None:
     records = inputs(run_of(seed=5))
     answers = Answers(participant)
@@ -431,6 +433,7 @@ def listeners(participant: Any, names: Iterable[str]) -> set[bytes]:
     }
 
 
+@pytest.mark.long
 def test_a_consumer_that_is_held_up_gets_a_lossless_replay_in_its_order(
     nodes: Any, participant: Any, tmp_path: Path
 ) -> None:

@@ -74,6 +74,7 @@ def test_an_offset_mass_does_what_it_does_to_the_linear_one_at_small_angles(
         assert weak[name] < 3e-3 * strong[name]
 
 
+@pytest.mark.long
 def test_the_departure_told_is_that_of_both_runs(go: Any) -> None:
     run, linear = (go("benchmark_strike", **changes, duration=5.0) for changes in (NONLINEAR, {}))
     times = np.arange(0.0, 5.0, 0.005)
@@ -83,6 +84,7 @@ def test_the_departure_told_is_that_of_both_runs(go: Any) -> None:
     assert departures(run)["heading_rad"] == pytest.approx(float(heading[0]), rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_whole_experiment_on_wheels_that_roll(go: Any) -> None:
     run = go("gym_run", **NONLINEAR, **ROLLING, bicycle="tms_table_8_1", strike__lean_rate=0.05)
     assert run.ended_by == "caught"

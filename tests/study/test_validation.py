@@ -30,6 +30,7 @@ def test_quick_validation_reaches_its_bands(command: Any, tmp_path: Path) -> Non
     assert text.count("\n| ") == 1 + len(found)  # a heading and the figures
 
 
+@pytest.mark.long
 def test_intervals_that_are_too_narrow_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     # Standard errors 10 % too small: the coverage of 2000 runs falls to 92 %, out of its band.
     honest = validation.fit_window
