@@ -23,7 +23,7 @@ FEEDBACK_R2 = 0.8  # share of a torque proportional to the lean rate, from which
 
 @dataclass(frozen=True, eq=False)
 class StartInformation:
-    """What the samples before the free response and the priors say about its start.
+    """Gaussian information on the start of a free response, from the samples before it and priors.
 
     rows @ [initial state, biases] = target + independent errors of unit variance.
     """

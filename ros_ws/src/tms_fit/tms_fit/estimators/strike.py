@@ -91,7 +91,7 @@ def estimate(window: Window, settings: Settings) -> Estimate:
 
 
 def _fit(model: ModelSpec, found: ImpulsePosterior, settings: Settings) -> Estimate:
-    """Free response and force, each in the light of what the other says about the start."""
+    """Fits of the free response and of the force in turn; each gives the other information on the start."""
     for _ in range(PASSES):
         model = _informed(model, found)
         fitted = fit_problem(model.problem, model.noise, Loss(settings.loss), settings.oscillator)
@@ -201,7 +201,7 @@ def _with_floor(noise: Noise) -> Noise:
 
 
 def _informed(model: ModelSpec, found: ImpulsePosterior) -> ModelSpec:
-    """The model with what samples and priors before its start say, at the likeliest onset and duration."""
+    """Model with information on its start by the samples before it and priors, at the likeliest onset."""
     samples, one = found.samples, found.hypotheses.rows(np.array([found.best]))
     mean, covariance = evaluate(samples, one, rough_noise(samples.rates).rows).conditional(0, 0.0)
     mean, covariance = mean[:UNKNOWNS], covariance[:UNKNOWNS, :UNKNOWNS]
@@ -213,7 +213,7 @@ def _informed(model: ModelSpec, found: ImpulsePosterior) -> ModelSpec:
 
 
 def _posterior(found: ImpulsePosterior, model: ModelSpec, fitted: Fitted) -> ImpulsePosterior:
-    """Posterior from the samples before the start and all that the fit of the free response found."""
+    """Posterior from the samples before the start and the fit of the free response."""
     samples = found.samples
     noise = _with_floor(fitted.noise).at_samples(samples.time, np.isfinite(samples.rates))
     grid: Hypotheses = found.hypotheses
