@@ -6,6 +6,7 @@ import math
 import shlex
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -349,6 +350,18 @@ def test_evidence_carries_the_size_of_the_fault(clean, bag_of):
     found = dict(findings(survey(bag_of(without(clean, slice(300, 330))))))
     assert found["gaps"].values == {"gaps": 1, "missing": 30, "longest": pytest.approx(0.31)}
     assert "2.99 s after the first message" in found["gaps"].evidence
+
+
+def test_a_stamp_decades_before_the_others_costs_no_memory(bag_of, clean: Run) -> None:
+    def early(time_ns: np.ndarray) -> np.ndarray:
+        return np.concatenate([time_ns[:1], time_ns[1:] + 1_700_000_000 * 10**9])
+
+    found = survey(bag_of(at_times(clean, early)))
+    tracemalloc.start()
+    findings(found)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 100 * 2**20
 
 
 def test_a_bias_at_rest_is_measured(clean, bag_of):
