@@ -40,7 +40,7 @@ def test_of_two_sudden_changes_closer_than_documented_the_larger_is_the_strike(
 ) -> None:
     seen, why = found(make_run, gap, sizes)
     assert seen == pytest.approx(times, abs=0.025)
-    assert any("two strikes are told apart from 0.35 s on" in one for one in why) == (len(times) == 1)
+    assert any("strikes closer than 0.35 s count as one" in one for one in why) == (len(times) == 1)
 
 
 def test_a_sudden_change_reaches_what_its_line_says_was_needed(monkeypatch: pytest.MonkeyPatch) -> None:

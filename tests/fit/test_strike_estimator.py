@@ -203,9 +203,9 @@ def test_what_is_assumed_narrows_the_interval() -> None:
 def test_priors_of_a_user_replace_those_of_the_table() -> None:
     assert set(DEFAULT_PRIORS) >= {"onset_lean", "onset_steer_rate", "yaw_rate_bias"}
     record, _, _ = recording(0.005, 1)
-    told = fitted(record, priors={"strike_steer_rate": (0.0, 1e-4), "yaw_rate_bias": (0.05, 1e-4)})
-    assert abs(told["strike_steer_rate"].value) < 1e-3
-    assert told["yaw_rate_bias"].value == pytest.approx(0.05, abs=1e-3)
+    found = fitted(record, priors={"strike_steer_rate": (0.0, 1e-4), "yaw_rate_bias": (0.05, 1e-4)})
+    assert abs(found["strike_steer_rate"].value) < 1e-3
+    assert found["yaw_rate_bias"].value == pytest.approx(0.05, abs=1e-3)
     with pytest.raises(ParameterError, match="expected a finite mean and a positive standard deviation"):
         Settings(priors={"onset_lean": (0.0, -1.0)})
 

@@ -217,8 +217,8 @@ def nodes(domain_id: int, tmp_path: Path) -> Iterator[Nodes]:
 def surroundings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Environment variables for a node inside the test, which calls others every 0.1 s.
 
-    Fast DDS tells of a node, and asks for what has arrived, every 3 s: who misses the first time waits for
-    the next. It reads its profile once, when a process makes its first node, so that one is made here.
+    Fast DDS announces a node, and asks for acknowledgements, every 3 s; a participant that misses the first
+    waits for the next. A process reads its profile once, with its first node, so that one is made here.
     """
     environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     stay_on_this_machine(environment)

@@ -131,7 +131,7 @@ def strike_axis(survey: Survey) -> Iterator[Finding]:
         survey.imu_topic or "",
         f"{found.change_count} sudden changes of the angular velocity and the sign of yaw against lean show x"
         f" {abs(degrees):.0f} deg to the {'left' if degrees > 0.0 else 'right'} of where it"
-        f" {'is stated' if survey.run_info is not None else 'is taken, since nobody says how it sits'}"
+        f" {'is stated' if survey.run_info is not None else 'is assumed, since the recording states none'}"
         f"{': the sensor faces backwards' if backwards else ''}",
         "the lean rate has the wrong sign against the yaw rate"
         if backwards

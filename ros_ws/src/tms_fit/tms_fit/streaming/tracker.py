@@ -30,7 +30,7 @@ FIRST_HISTORY_NS = 3 * NANOSECONDS // 10  # [ns] at a recording's start, before 
 PUSH_TAIL_NS = NANOSECONDS // 10  # [ns] for which a hand pushes on beyond the peak of the lean rate
 SAME_CHANGE_NS = NANOSECONDS // 20  # [ns] after a change, up to which an end of the motion is that change
 LEAST_DISTANCE_NS = 7 * NANOSECONDS // 20  # [ns] between the starts of two strikes
-ONE_STRIKE = "two strikes are told apart from 0.35 s on"
+ONE_STRIKE = "strikes closer than 0.35 s count as one"
 PREDICTED_SHARE = 0.5  # of a change, by which the motion before explains it; at most its inverse
 # Unknowns of a free response, and of a motion whose beginning isn't known.
 AFTER_STRIKE: tuple[str, ...] = ("initial_lean_rate", "initial_steer_rate", "lean_rate_bias")
