@@ -28,12 +28,13 @@ def place(item: pytest.Item) -> int:
     """Place of a test in the order of all.
 
     Tests that measure come first: one worker runs them, one after the other, since idle workers steal from
-    the end. Those of several packages follow, of which some take a minute, and long ones come last.
+    the end. Those of several packages follow, of which some take a minute, and long ones come last, those of
+    nodes first: one of them takes ten minutes, in which other workers have enough to do.
     """
     if item.get_closest_marker("measures"):
         return 0
     if item.get_closest_marker("long"):
-        return 3
+        return 3 if item.path.parent == TESTS / "ros" else 4
     return 1 if item.path.parent == TESTS else 2
 
 
