@@ -364,7 +364,8 @@ def test_the_fit_of_a_bag_cut_short_says_so(tmp_path, command):
     document = json.loads(command("tms_fit", "run", path, "--json").out)
     assert "cut short" in document["warnings"][0]
     assert json.loads(command("tms_fit", "run", whole.parent / "whole.mcap", "--json").out)["warnings"]
-    assert json.loads(command("tms_fit", "run", source, "--json").out)["warnings"] == []
+    warnings = json.loads(command("tms_fit", "run", source, "--json").out)["warnings"]
+    assert all("linear equations" in text for text in warnings)
 
 
 def test_a_message_in_a_message_that_holds_nothing_takes_a_byte(tmp_path):
