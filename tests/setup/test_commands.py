@@ -4,6 +4,7 @@ import fcntl
 import os
 import signal
 import subprocess
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -110,7 +111,12 @@ def test_ctrl_c_while_python_imports_ends_a_tool_without_a_traceback(tmp_path):
     fcntl.fcntl(saying, fcntl.F_SETPIPE_SZ, 4096)
     environment = {**os.environ, "PYTHONPROFILEIMPORTTIME": "1"}
     tool = subprocess.Popen(
-        [TMS, "model", "list"], cwd=tmp_path, env=environment, stderr=saying, stdout=subprocess.DEVNULL
+        [TMS, "model", "list"],
+        cwd=tmp_path,
+        env=environment,
+        stderr=saying,
+        stdout=subprocess.DEVNULL,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # ignored in background jobs
     )
     os.close(saying)
     with os.fdopen(said, "rb", buffering=0) as stream:
