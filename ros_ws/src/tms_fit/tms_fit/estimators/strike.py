@@ -42,10 +42,11 @@ from tms_fit.least_squares.losses import Loss
 from tms_fit.least_squares.make_estimate import make_estimate, too_short
 from tms_fit.least_squares.model_selection import ModelSpec, specify_model
 from tms_fit.least_squares.nuisance import nuisance_columns
+from tms_fit.least_squares.problem import START
 from tms_fit.noise import Noise, likeliest
 from tms_fit.noise.ar import is_autocorrelated
 from tms_fit.noise.white import White
-from tms_fit.parameters import BIASES, FRICTION, INITIAL, STRIKE
+from tms_fit.parameters import BIASES, FRICTION, STRIKE
 from tms_fit.response.discretization import as_ridden
 from tms_fit.segment import FreeResponse, joined, segment_window
 from tms_fit.settings import Settings
@@ -53,7 +54,6 @@ from tms_fit.strikes.classification import noise_of
 from tms_fit.strikes.strike import NANOSECONDS, Strike
 from tms_fit.window import StartInformation, Window, from_sample, without_saturated
 
-START = (*INITIAL, *BIASES)
 REPORTED = (STRIKE[0], "initial_lean_rate", STRIKE[1])  # first among the names of an estimate
 AFTER_STRIKE_S = 0.35  # [s] of the free response from which onset and duration are first estimated
 MIDDLE_SEARCH_S = 0.06  # on either side of the detected middle of the force
@@ -261,7 +261,7 @@ def _averaged(single: Estimate, model: ModelSpec, fitted: Fitted, found: Impulse
     index = [every.index(name) for name in names]
     values, spread = mean[index], covariance[np.ix_(index, index)]
     shared = [names.index(name) for name in problem.names]
-    spread[np.ix_(shared, shared)] += _other_noise(problem.window, fitted)
+    spread[np.ix_(shared, shared)] += _other_noise(fitted)
     jacobian = np.zeros((*single.jacobian.shape[:2], len(names)))
     jacobian[:, :, shared] = single.jacobian
     predicted = single.predicted + single.jacobian @ (values[shared] - solution.values)
@@ -279,14 +279,11 @@ def _averaged(single: Estimate, model: ModelSpec, fitted: Fitted, found: Impulse
     )
 
 
-def _other_noise(window: Window, fitted: Fitted) -> Array:
+def _other_noise(fitted: Fitted) -> Array:
     """Covariance (p, p) by noise models beside the one of largest weight."""
-    solution, start = fitted.solution, window.start
-    count = len(fitted.noise.rows(np.zeros((*solution.channels.shape[:2], 0))))
-    rows = np.concatenate([fitted.noise.rows(solution.channels), solution.jacobian[count:]])
-    assert start is not None
-    scale = np.linalg.norm(rows, axis=0)
-    plain = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
-    sizes, vectors = np.linalg.eigh(solution.inverse - plain)
+    solution = fitted.solution
+    samples = fitted.noise.rows(solution.channels)
+    rows = np.concatenate([samples, solution.jacobian[len(samples) :]])
+    sizes, vectors = np.linalg.eigh(solution.inverse - replace(solution, jacobian=rows).of_rows)
     found: Array = (vectors * np.maximum(sizes, 0.0)) @ vectors.T
     return found
